@@ -94,7 +94,7 @@ def save_folder(
     """
     maps.save(folder / ARRAYS_FILE)
     write_array(folder / NORMALS_FILE, maps.normals)
-    # Encoded as in other programs; black outside, which does not stand for a normal.
+    # Encoded as in other programs; black outside, which no normal is encoded as.
     coloured = np.where(maps.normals.any(axis=-1, keepdims=True), maps.normals, -1)
     write_image(folder / NORMALS_PICTURE, (coloured + 1) / 2, "linear", 16)
     for name in maps.unknowns:

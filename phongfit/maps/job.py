@@ -117,7 +117,7 @@ class Job:
         return np.flatnonzero(self.geometry.mask & self.masks.anywhere())
 
     def tile(self, pixels: np.ndarray, size: int) -> Tile:
-        """The tile of some pixels, not [`padded`][phongfit.maps.pixel.samples.Tile]."""
+        """The tile of some pixels; see [`padded`][phongfit.maps.pixel.samples.Tile]."""
         order = self.outside.lighting.order
         target = self.stack.take_coded(pixels, order)
         hidden = np.ma.getmask(target.numbers)

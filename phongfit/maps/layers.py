@@ -122,7 +122,7 @@ class Noise:
     """Standard deviations of the samples: unknown, one number, or one per sample.
 
     - `known`: whether they were given.
-    - `varies`: whether they were given as arrays.
+    - `varies`: whether they were given as arrays, or one for each image.
     - `level`: the number that was given; 1 if unknown or varying.
     """
 

@@ -24,7 +24,7 @@ from phongfit.maps.stacks import AbstractStack
 from phongfit.scene import Scene
 
 WIDTHS = np.geomspace(0.05, 5, 60)
-"""Widths that are tried, radians: from below the angle between lamps to a sphere."""
+"""Widths that are tried, radians: from below lamps' angles to over a hemisphere."""
 
 NUGGET = 1e-6
 """Added to the diagonal of the correlation, since two lamps may have one position."""

@@ -265,9 +265,9 @@ class Maps:
     def height(self, *, distance: float | None = None) -> HeightField:
         """The surface as a height for every pixel.
 
-        It is the depth of the scenes' geometry if the normals were given. Fitted
-        normals are integrated, and each piece is moved to the depth that the geometry
-        has for it: see [`integrate_normals`][].
+        It is the depth of the scenes' geometry if normals and depth were given.
+        Otherwise the normals are integrated, and each piece is moved to the depth that
+        the geometry has for it: see [`integrate_normals`][].
 
         **Arguments:** `distance`: distance from the camera, world units, of pieces
             without a depth; default: that of the world's origin.
@@ -623,7 +623,7 @@ def checked_maps(arrays: dict[str, np.ndarray]) -> Maps:
     for name in MAP_PARAMETERS:
         if not np.all(np.isfinite(arrays[name]) & (arrays[name] >= 0)):
             raise ValueError(f"{name}: expected finite numbers ≥ 0")
-        # Not below 0, and no NaN.
+        # The comparison is false for NaN as well.
         if not np.all(arrays[f"stderr_{name}"] >= 0):
             raise ValueError(f"stderr_{name}: expected numbers ≥ 0")
     given: Any = arrays["noise_given"]

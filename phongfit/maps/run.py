@@ -113,7 +113,7 @@ def fit_maps(
         films only the clamp is used, which must be common. The rounding of JPEG files
         is part of the noise, which is estimated from each pixel's residuals: give no
         `noise` with such files. Light that compression removes from all images alike,
-        as at the rim of a highlight, is not restored as by [`fit`][].
+        as at the rim of a highlight, is not restored, unlike in [`fit`][].
     - `loss`: as in [`fit`][]; a robust loss is for images with outliers. Default:
         `"linear"`; `"cauchy"` if normals are fitted, since shadows and
         interreflections are outliers.
@@ -230,7 +230,7 @@ def _fit_once(
     progress: bool,
     **asked: Any,
 ) -> Maps:
-    """One pass of [`fit_maps`][], whose arguments these are."""
+    """Fit one pass; the arguments are those of [`fit_maps`][]."""
     job = make_job(scenes, images, **asked)
     if not len(job.pixels):
         raise ValueError("mask: it leaves no pixel that sees the surface")
@@ -482,7 +482,7 @@ class _Canvas:
     def _basis(
         self, log_bounds: tuple[float, float], weights: np.ndarray | None
     ) -> BasisMaterials | None:
-        """The materials, if pixels share them.
+        """The shared materials, or `None`.
 
         **Arguments:** `log_bounds`: of log f; `weights`: of the materials, per pixel.
         """

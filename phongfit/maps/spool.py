@@ -106,7 +106,7 @@ class Spool:
         return one.dtype.itemsize if one and self._alike() else self._dtype.itemsize
 
     def _alike(self) -> bool:
-        """True if samples are read as stored: one type for all, and small tables."""
+        """True if samples are read as stored: of one type, with one or small tables."""
         kinds = {(image.dtype, image.table is None) for image in self._images}
         bytes_alone = all(image.dtype.itemsize == 1 for image in self._images)
         return len(kinds) == 1 and (bytes_alone or len(self._tables) == 1)

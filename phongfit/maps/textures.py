@@ -75,7 +75,7 @@ def filled_in(maps: Maps) -> tuple[Material, Bool[np.ndarray, "height width"]]:
 
 
 def _medians(values: np.ndarray, identified: np.ndarray) -> np.ndarray:
-    """The median of each channel over the pixels that identify it; 0 if none does."""
+    """Median of each channel over the pixels that identify it; 0 without any."""
     kept = [channel[own] for channel, own in zip(values.T, identified.T, strict=True)]
     return np.array([np.median(one) if one.size else 0 for one in kept], values.dtype)
 

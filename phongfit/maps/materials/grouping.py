@@ -22,7 +22,7 @@ QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)
 
 
 class Table(NamedTuple):
-    r"""Costs $c + h (\rho_s - \hat\rho_s)^2$ of pixels under each exponent.
+    r"""Costs $c + h (\rho_s - \hat\rho_s)^2$ of pixels at each exponent.
 
     - `log_exponents`: (exponents,).
     - `cost` $c$, `strength` $\hat\rho_s$, `curvature` $h$: (exponents, pixels).

@@ -50,7 +50,7 @@ def samples_of(
     """Samples of a tile, and the number of samples per image that are not finite."""
     seen = tile.visibility
     if seen is not None and seen.shape[1] == 1:
-        # With one light per image, shadowed samples are left out below, so that the
+        # With one light per image, shadowed samples are removed below, so that the
         # visibility is not needed as a factor on the light.
         tile = tile._replace(visibility=None)
     samples, lost = measured(tile, outside.lighting, settings)

@@ -38,7 +38,7 @@ AS_GOOD = 4.0
 
 
 class Errors(NamedTuple):
-    """Standard errors, infinite for what is not identified.
+    """Standard errors of normals and materials; infinite if not identified.
 
     - `normal`: root mean square angle, in degrees.
     - `own`: of each channel's own reflectances, (channels, pixels) each.

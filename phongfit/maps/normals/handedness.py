@@ -8,10 +8,10 @@ residuals do not show it, since the mirrored object looks the same.
 import numpy as np
 from jaxtyping import Bool, Float
 
-# Blocks across the shorter side, over which normals are averaged first.
+# Number of blocks across the shorter side, over which normals are averaged first.
 ACROSS = 24
 # Slopes belong to the mirror image if the mean error for it is below this fraction of
-# the error for the surface, with at least `PLACES` blocks.
+# the error for the surface, with at least `PLACES` blocks of n_z above `STEEPEST`.
 PLAINLY = 0.5
 PLACES = 50
 STEEPEST = 0.2

@@ -57,8 +57,8 @@ DAMPING = 1e-3
 FALL, RISE = 0.1, 8.0
 STUCK = 1e5
 LEAST = 1e-6
-# Ends whose cost is higher by this factor are not rivals: their residuals are large at
-# any scale.
+# An end is not a rival if its cost is higher by more than this times the cost per
+# degree of freedom: its residuals are then large at any scale.
 FAR_OFF = 16.0
 # Relative rounding of a cost, in units of the machine precision.
 ROUNDED = 20

@@ -25,7 +25,7 @@ from phongfit.maps.pixel.small import (
     times,
 )
 
-# Place of log f among the unknowns that the channels share.
+# Index of log f among the unknowns that the channels share.
 EXPONENT = 2
 # Longest steps: of the normal in radians, and of log f.
 FARTHEST = 0.3
@@ -180,8 +180,8 @@ def free_to_move(point: Point, sums: Sums, which: Unknowns, edges: Edges) -> Fre
 def steadied(sums: Sums, which: Unknowns, edges: Edges) -> Sums:
     """Sums with a weak prior, so that unidentified unknowns do not move.
 
-    The prior of each unknown is its present value, with the width of its box as its
-    standard deviation.
+    The prior of log f and of each reflectance is its present value, with the width of
+    its box as standard deviation. The normal has no prior.
     """
 
     def more(matrix: Triangle, widths: dict[int, tuple[float, float]]) -> Triangle:

@@ -35,7 +35,7 @@ FAR = 2.0
 
 
 class Errors(NamedTuple):
-    """Standard errors of all channels; infinite for what is not identified.
+    """Standard errors of all channels; infinite if not identified.
 
     - `reflectances`: (channels, pixels) for each unknown: those of the columns, then
         ρ_s.

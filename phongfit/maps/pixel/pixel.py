@@ -73,15 +73,15 @@ class PixelFit(NamedTuple):
 
     - `ambient`, `diffuse`, `specular`: reflectances; `shininess`: exponents, one for
         each channel or one for all.
-    - `stderr`: standard errors of these four by name, infinite for what is not
-        identified and 0 for what was known.
+    - `stderr`: standard errors of these four by name, infinite if not identified and 0
+        if known.
     - `noise`: root mean square of the residuals per degree of freedom, in linear light,
         or in standard deviations of the samples.
     - `samples`: number of samples in use.
     - `flags`: bits of [`Flag`][].
-    - `normals`, `normals_stderr`: where sought, unit vectors in world axes and their
+    - `normals`, `normals_stderr`: if fitted, unit vectors in world axes and their
         errors in degrees.
-    - `weights`: where pixels share materials, probability of each material.
+    - `weights`: if pixels share materials, probability of each material.
     """
 
     ambient: Float[Array, "pixels 3"]
@@ -228,7 +228,7 @@ class _Job:
 
 
 class _SearchResult(NamedTuple):
-    """Exponents of all groups, reflectances, and what their errors are computed from.
+    """Exponents of all groups, reflectances, and the inputs of their errors.
 
     - `columns`: with the final weights of the samples.
     - `squares`: sum of squared residuals; `scale`: their robust standard deviation.
@@ -361,7 +361,7 @@ def _less_known(
 
 
 def _solve(job: _Job, known: Known) -> _SearchResult:
-    """Fit the exponents, then the reflectances."""
+    """Fit the exponents, then the reflectances, and reweight for a robust loss."""
     settings, shape = job.settings, (job.groups, job.target.shape[-1])
     columns = job.columns(job.share**2)
     t, profile = jnp.broadcast_to(jnp.log(known.shininess), shape), None
@@ -410,15 +410,15 @@ def _variance(job: _Job, columns: Columns, value: Array) -> Array:
 
 
 def _reweighted(job: _Job, at: At, t: Array) -> _SearchResult:
-    r"""Iteratively reweighted least squares from a plain solution.
+    r"""Fit by iteratively reweighted least squares, starting from least squares.
 
     Errors are those of least squares with the final weights w, held, and with
     $\sigma^2$ times the mean of w and the square of [`widening`][]: rejected samples do
     not count as information on the exponent.
 
     There are several starts, each but the first without a group of samples, since an
-    outlier in the highlight may attract the plain solution. The result of lowest loss
-    is returned.
+    outlier in the highlight may attract the least-squares solution. The result of
+    lowest loss is returned.
 
     ??? cite "Source"
         Rousseeuw and Van Driessen, *Computing LTS regression for large data sets*, Data
@@ -511,7 +511,7 @@ def _chosen(which: Array, new: "_Rounds", old: "_Rounds") -> "_Rounds":
 
 
 def _group(job: _Job) -> Array:
-    """Group number of each sample: every group has lights of every channel."""
+    """Group number of each sample: every group has samples of every channel."""
     images, channels, _ = job.target.shape
     number = np.arange(channels) + np.arange(images)[:, None]
     return jnp.asarray(number % GROUPS)[..., None]

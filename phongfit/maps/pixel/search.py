@@ -19,7 +19,7 @@ from phongfit.maps.pixel.exponent import (
 from phongfit.maps.pixel.lobes import AbstractLobes, Angles
 from phongfit.maps.pixel.small import Numbers, in_groups
 
-# Candidates of a scan are a factor of 2 apart.
+# Distance of a scan's candidates in log f: a factor of 2.
 SPACING = np.log(2).item()
 # Rounds of the box problem if it only ranks candidates.
 FEW_ROUNDS = 2
@@ -165,7 +165,7 @@ def refine_exponents(
 
     def step(search: _Search) -> _Search:
         at = evaluate(columns, lobes, angles, search.t, box)
-        # Differences below rounding must not send the search back.
+        # A rise of φ within rounding is accepted: it is not a real increase.
         accept = at.value <= search.value + rounding * jnp.abs(search.value)
         moved = search.t - search.best
         secant = (at.slope - search.slope) / jnp.where(moved != 0, moved, 1)

@@ -34,7 +34,7 @@ def optimization_barrier(values: T) -> T:
 
     XLA fuses each result with everything that it depends on, so it computes
     intermediate values again for each result; in a chain of solutions that multiplies.
-    Measured on two cores with 96² pixels, warm: maps with normals sought under 49
+    Measured on two cores with 96² pixels, warm: maps with fitted normals under 49
     lights take 2.5 s with the barriers of this module and of `maps/normals`, 6.3 s
     without those of this module, 17 to 22 s without any.
     """
