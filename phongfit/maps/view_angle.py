@@ -43,7 +43,7 @@ ANGLES = (0.0, 10.0, 20.0, 30.0, 40.0, 55.0, 70.0)
 """Angles that are tried first, degrees; 0 stands for parallel rays."""
 
 COARSE_ANGLES = (20.0, 40.0, 60.0)
-"""Angles that [`check_fov`][] compares with the given camera, degrees."""
+"""Angles that `check_fov` compares with the given camera, degrees."""
 
 STEPS = 3
 """Number of refinements by a parabola through the best angle and its neighbours."""

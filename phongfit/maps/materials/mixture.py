@@ -82,7 +82,7 @@ def maximize(
 
     **Arguments:**
 
-    - `look`: function from a material's number and values to the pixels' [`Told`][].
+    - `look`: function from a material's number and values to the pixels' `Told`.
     - `edges`: low and high of each unknown.
     - `free`: number of fitted numbers, for BIC; default: all values and the shares.
     """
