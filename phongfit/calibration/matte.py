@@ -306,6 +306,9 @@ def _unclipped(mean: float, sigma: float) -> float:
 
     if excess(0) >= 0:
         return 0.0
+    if excess(mean) <= 0:
+        # No sample reaches the clamp, and the difference is rounding.
+        return mean
     return optimize.root_scalar(excess, bracket=(0, mean)).root
 
 

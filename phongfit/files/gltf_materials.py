@@ -143,6 +143,7 @@ class Shading:
             bumps = self._open("normalTexture", info, "linear")
             if bumps.sampled is not None:
                 values = (2 * bumps.values[..., RGB] - 1) * [info.scale, info.scale, 1]
+                self._hold(values)
                 self._textures["normal"] = Texture(values, **bumps.sampled)
         if own is not None:
             self._textures.pop("ambient", None)
@@ -158,7 +159,12 @@ class Shading:
         rough = self._open(
             "metallicRoughnessTexture", pbr.metallicRoughnessTexture, "linear"
         )
-        metal = rough.part(BLUE, pbr.metallicFactor)
+        metallic = pbr.metallicFactor
+        if pbr.metallicRoughnessTexture is not None and rough.sampled is None:
+            # Without its texture the factor's default, 1, would make it a metal.
+            metallic = 0.0
+            self._unused[f"metallicFactor of {self._name}, which needs it"] = None
+        metal = rough.part(BLUE, metallic)
         is_metal = bool(metal.values.any())
         metal = metal if is_metal else _Map(np.zeros(1))
         self._coloured(base, pbr.baseColorFactor, metal)

@@ -4,9 +4,9 @@ A file is JSON that points into bytes: buffers are cut into views, views hold ac
 (arrays), and these are the attributes of primitives (triangles of one material), which
 nodes place in the world. One note lists the parts of a file that are not used.
 
-trimesh's own reader is not used, since it loses numbers without a message: it reads
-sparse accessors as zeros, normalized integers without their scale, and only the first
-set of uv; and it drops fans, tangents, samplers and transforms of textures.
+trimesh is not used, since its reader loses numbers without a message: it reads sparse
+accessors as zeros, normalized integers without their scale, and only the first set of
+uv; and it drops fans, tangents, samplers and transforms of textures.
 
 ??? cite "Source"
     Khronos, *glTF 2.0*, 2021: sections 3.5 to 3.7, and 4.4 for GLB;
@@ -22,7 +22,6 @@ from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import unquote
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
@@ -46,7 +45,6 @@ from phongfit.files.gltf_records import (
 from phongfit.files.inputs import inside, naming, read_bytes
 from phongfit.files.records import validated
 from phongfit.files.strict_json import parse_json
-from phongfit.geometry.normals import face_normals
 
 READ = (
     *("KHR_materials_", "KHR_texture_", "EXT_texture_"),
@@ -57,6 +55,10 @@ and are listed as not used."""
 
 LISTED = 20
 """Maximum number of unused parts that a note names; others are counted."""
+
+
+VISIT = 1000
+"""Bytes that a primitive counts for, whatever it holds."""
 
 
 class GltfPart(NamedTuple):
@@ -155,6 +157,9 @@ class _Reader:
                 continue
             mesh = at(file.meshes, node.mesh, "mesh")
             for k, primitive in enumerate(mesh.primitives):
+                # Nodes that share a mesh may have more primitives than the file.
+                self._made += VISIT
+                afford(self._made, "primitives")
                 if primitive.mode not in (TRIANGLES, STRIP, FAN):
                     self.unused["points and lines"] = None
                     continue
@@ -199,7 +204,7 @@ class _Reader:
         return GltfPart(
             place[corners],
             np.arange(len(corners)).reshape(-1, 3),
-            np.repeat(face_normals(jnp.asarray(place), jnp.asarray(faces)), 3, axis=0),
+            np.repeat(_face_normals(place[faces]), 3, axis=0),
             primitive.material,
             None if uv is None else uv[corners],
             {name: rows[corners] for name, rows in colours.items()},
@@ -355,7 +360,9 @@ class _Reader:
         uri = image.uri or ""
         with naming(f"{name}.uri"):
             content = self._named(uri)
-        return content, self._folder / (name if uri.startswith("data:") else uri)
+        return content, self._folder / (
+            name if uri.startswith("data:") else unquote(uri)
+        )
 
     def _named(self, uri: str) -> bytes:
         """The bytes in a data URI, or of the file that a URI names."""
@@ -372,6 +379,14 @@ class _Reader:
 
 _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+
+
+def _face_normals(corners: Float[np.ndarray, "faces 3 3"]) -> np.ndarray:
+    """Unit normals of triangles; 0 where they have no area."""
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normals = np.cross(first, second)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return normals / np.where(length > 0, length, 1)
 
 
 def _transform(node: Node) -> np.ndarray:

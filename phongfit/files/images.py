@@ -236,8 +236,11 @@ def _is_jpeg(path: Path) -> bool:
     """True if a file exists and starts like a JPEG."""
     if not path.is_file():
         return False
-    with path.open("rb") as file:
-        return file.read(len(JPEG_START)) == JPEG_START
+    try:
+        with path.open("rb") as file:
+            return file.read(len(JPEG_START)) == JPEG_START
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read: {error.strerror}") from error
 
 
 def with_jpeg(film: Film, path: Path) -> Film:

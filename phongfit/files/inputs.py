@@ -201,8 +201,11 @@ def beside(folder: Path, name: str) -> Path | None:
 
 def _in_any_case(folder: Path, name: str) -> Path:
     """The path of [`inside`][], ignoring the case of letters in `name`."""
-    found = folder
-    for part in PurePosixPath(name).parts:
+    found, parts = folder, PurePosixPath(name).parts
+    if name.startswith("/") or ".." in parts:
+        # Let `inside` refuse the name: no folder outside may be listed.
+        return inside(folder, name)
+    for part in parts:
         same = (k for k in sorted(os.listdir(found)) if k.lower() == part.lower())
         found = found / next(same, part)
     return inside(folder, str(found.relative_to(folder)))

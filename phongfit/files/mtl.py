@@ -171,6 +171,8 @@ def parse_mtl(path: Path) -> Library:
                     doubtful.setdefault(key, told)
             elif key.lower() in MAPS:
                 textures.append(_texture_line(number, name, key, words))
+                if len(textures) > MOST:
+                    raise ValueError(f"expected at most {MOST} textures, got more")
             elif key == "bsdf" and words == ["pbr"] and name is not None:
                 found[name][key] = words
             elif not key.startswith("#") and not _is_usual(key, uncommented(words)):

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from phongfit.files.budget import afford
 from phongfit.files.gltf import exponents
 from phongfit.files.images import Texels, read_texels
 from phongfit.files.inputs import Note, beside, naming, read_bytes
@@ -45,7 +46,8 @@ def read_textured(path: Path, note: Note) -> dict[str, Shaded]:
     found, lines, notes = parse_mtl(path)
     for words in notes:
         note(f"{path}: {words}")
-    opened: dict[tuple[Path, str], Texels | str] = {}
+    opened: dict[tuple[str, str], Texels | str] = {}
+    held = 0
     textures: dict[str, dict[str, Texture]] = {name: {} for name in found}
     for line in lines:
         if line.material is None:
@@ -53,9 +55,17 @@ def read_textured(path: Path, note: Note) -> dict[str, Shaded]:
             continue
         with naming(f"{path}: line {line.number}"):
             fields, own = found[line.material], textures[line.material]
+            known = set(own)
             _add(path, line, fields, own, opened, note)
+            held += sum(own[leaf].values.nbytes for leaf in own.keys() - known)
+            afford(held, "textures")
     shaded = {}
     for name, fields in found.items():
+        own = textures[name]
+        if fields.get("illum") == 0 and "diffuse" in own:
+            # Kd and its texture are shown as they are.
+            own["emission"] = own.pop("diffuse")
+            own.pop("ambient", None)
         with naming(f"{path}: material {name!r}"):
             shaded[name] = Shaded(as_material(fields), Textures(**textures[name]))
     return shaded
@@ -66,7 +76,7 @@ def _add(
     line: TextureLine,
     fields: dict[str, Any],
     own: dict[str, Texture],
-    opened: dict[tuple[Path, str], Texels | str],
+    opened: dict[tuple[str, str], Texels | str],
     note: Note,
 ) -> None:
     """Add the texture of one line to the textures `own` and the numbers `fields`."""
@@ -85,7 +95,7 @@ def _add(
     values = read.values
     if read.transparent and key in COLOURS:
         note(f"{told}: is partly transparent, which is not used")
-    wrap = "clamp" if line.options.get("-clamp") == ["on"] else "repeat"
+    wrap = "clamp" if line.options.get("-clamp") in (["on"], ["ON"]) else "repeat"
     if leaf == "normal":
         if values.shape[-1] != 3 or values[..., 2].mean() < values.mean() + BLUE:
             note(f"{told}: holds heights, which are not used; expected a normal map")
@@ -109,18 +119,19 @@ def _add(
 
 
 def _open(
-    path: Path, file: str, leaf: str, opened: dict[tuple[Path, str], Texels | str]
+    path: Path, file: str, leaf: str, opened: dict[tuple[str, str], Texels | str]
 ) -> Texels | str:
     """The numbers of a texture's file, or the end of a sentence on the error."""
-    place = beside(path.parent, file)
-    if place is None:
-        return "is missing"
     data_like = leaf in ("shininess", "normal")
     encoding: NamedEncoding = "linear" if data_like else "srgb"
-    if (place, encoding) not in opened:
+    if (file, encoding) not in opened:
+        place = beside(path.parent, file)
         try:
-            read = read_texels(read_bytes(place), place, encoding)
-            opened[place, encoding] = read
+            opened[file, encoding] = (
+                "is missing"
+                if place is None
+                else read_texels(read_bytes(place), place, encoding)
+            )
         except ValueError as error:
-            opened[place, encoding] = f"cannot be read, and is not used: {error}"
-    return opened[place, encoding]
+            opened[file, encoding] = f"cannot be read, and is not used: {error}"
+    return opened[file, encoding]

@@ -133,7 +133,7 @@ def _corner(word: str, counts: tuple[int, int, int]) -> list[int]:
             if part or k == 0:
                 index = int(part)
                 row[k] = index - 1 if index > 0 else count + index
-                if index == 0 or row[k] < 0:
+                if index == 0 or not 0 <= row[k] < 2**62:
                     raise ValueError
     except ValueError:
         row = []
@@ -241,13 +241,16 @@ def _materials(
 def _libraries(path: Path, content: _Content, note: Note) -> list[Path]:
     """The existing .mtl files, each once."""
     found: dict[Path, None] = {}
+    tried = 0
     for name, line in content.libraries.items():
-        whole = beside(path.parent, name)
         # The line is one name with blanks, or several names.
-        names = [name] if whole else re.findall(r'"[^"]*"|\S+', name)
-        files = [whole] if whole else [beside(path.parent, k) for k in names]
-        if len(found) + len(files) > MOST:
+        names = re.findall(r'"[^"]*"|\S+', name)
+        tried += 1 + len(names)
+        if tried > MOST:
             raise ValueError(f"{path}: line {line}: expected at most {MOST} .mtl")
+        whole = beside(path.parent, name)
+        names = [name] if whole else names
+        files = [whole] if whole else [beside(path.parent, k) for k in names]
         found |= dict.fromkeys(file for file in files if file is not None)
         missing = [k for k, file in zip(names, files, strict=True) if file is None]
         # If no part is a file, the line is a single name with blanks.

@@ -123,7 +123,10 @@ def _face(words: list[str]) -> tuple[int, list[int], list[float]]:
     n = int(count)
     if not 0 <= n <= len(others):
         raise ValueError
-    return n, [int(k) for k in others[:n]], [float(k) for k in others[n:]]
+    corners = [int(k) for k in others[:n]]
+    if not all(abs(k) < 2**62 for k in corners):
+        raise ValueError
+    return n, corners, [float(k) for k in others[n:]]
 
 
 def _to_one(colours: np.ndarray) -> np.ndarray:

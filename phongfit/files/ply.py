@@ -29,6 +29,8 @@ from phongfit.textures import Texture, Textures
 
 MEMORY = 30
 """Memory that reading takes, as a multiple of the file's size (measured)."""
+LIST = 300
+"""Bytes of one number or list of an element whose lists differ in length."""
 
 TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2"},
@@ -168,7 +170,8 @@ class _Body:
 
     def _take(self, type: str, count: float = 1) -> np.ndarray:
         """The next numbers of a type."""
-        size = count * self._size(type)
+        # As a float: a count may be an integer of 8 bits, whose product would wrap.
+        size = float(count) * self._size(type)
         self._check(size)
         start, self._at = self._at, self._at + int(size)
         if isinstance(self._data, np.ndarray):
@@ -229,6 +232,7 @@ class _Body:
 
     def _of_many_sizes(self, element: _Element) -> list[_Column]:
         properties = element.properties
+        afford(LIST * element.length * len(properties), "lists of its elements")
         rows = [self._take_row(properties) for _ in range(element.length)]
         return [
             _Column(

@@ -6,6 +6,7 @@ import mapbox_earcut
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from phongfit.files.budget import afford
 from phongfit.files.inputs import Note
 
 SLACK = 1e-9
@@ -13,8 +14,10 @@ SLACK = 1e-9
 DOUBTFUL = 1e-6
 """Largest relative error of the triangles' area; beyond it the result is a guess."""
 MOST_CORNERS = 20_000
-"""Maximum number of corners of a polygon that is not convex: the time grows with their
-square, to some seconds."""
+"""Maximum root of the sum of squared numbers of corners, over polygons that are not
+convex: the time grows with these squares, to some seconds."""
+TRIANGLE = 400
+"""Bytes of memory for each triangle while polygons are cut (measured)."""
 
 
 class Triangles(NamedTuple):
@@ -38,9 +41,11 @@ def triangulate(
     - `counts`: number of corners of each polygon.
     - `note`: called with a sentence on polygons that are left out or cross themselves.
 
-    **Raises:** `ValueError` for a vertex that does not exist, and for a polygon that
-    is not convex and has more than 20 000 corners.
+    **Raises:** `ValueError` for a vertex that does not exist, for more triangles than
+    the limit of memory, and for polygons that are not convex if they exceed
+    `MOST_CORNERS`.
     """
+    afford(TRIANGLE * int(np.maximum(counts - 2, 0).sum()), "triangles")
     for index in corners[(corners < 0) | (corners >= len(vertices))][:1]:
         wanted = f"whole numbers from 0 to {len(vertices) - 1}"
         raise ValueError(f"its faces: expected {wanted}, got {index}")
@@ -48,7 +53,7 @@ def triangulate(
         note(f"{small} of its faces have fewer than 3 corners, and are not used")
     starts = np.cumsum(counts) - counts
     cut = [Triangles(np.zeros((0, 3), int), np.zeros(0, int))]
-    crossing = 0
+    crossing, squares = 0, 0
     for count in np.unique(counts[counts > 2]):
         polygons = np.flatnonzero(counts == count)
         corner = starts[polygons, None] + np.arange(count)
@@ -60,9 +65,11 @@ def triangulate(
             each = np.repeat(polygons[fits], count - 2)
             cut.append(Triangles(corner[fits][:, fan].reshape(-1, 3), each))
             polygons, corner = polygons[~fits], corner[~fits]
-        if len(polygons) and count > MOST_CORNERS:
-            wanted = f"at most {MOST_CORNERS} corners where it is not convex"
-            raise ValueError(f"its faces: expected {wanted}, got {count}")
+        squares += len(polygons) * int(count) ** 2
+        if squares > MOST_CORNERS**2:
+            wanted = f"at most {MOST_CORNERS} corners where a face is not convex"
+            got = f"{len(polygons)} faces of {count}"
+            raise ValueError(f"its faces: expected {wanted}, got {got}")
         for polygon, ring in zip(polygons, corner, strict=True):
             ears, covers = _ears(vertices[corners[ring]])
             cut.append(Triangles(ring[ears], np.full(len(ears), polygon)))
@@ -77,15 +84,21 @@ def triangulate(
 
 def _is_fan(rings: Float[np.ndarray, "polygons n 3"]) -> Bool[np.ndarray, " polygons"]:
     """True for polygons that contain all triangles of the fan from the first corner."""
-    to_corner = rings[:, 1:] - rings[:, :1]
-    areas = np.cross(to_corner[:, :-1], to_corner[:, 1:])
-    whole = areas.sum(axis=1, keepdims=True)
-    along = (areas * whole).sum(axis=-1)
-    return (along > -SLACK * (whole**2).sum(axis=-1)).all(axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        to_corner = rings[:, 1:] - rings[:, :1]
+        areas = np.cross(to_corner[:, :-1], to_corner[:, 1:])
+        whole = areas.sum(axis=1, keepdims=True)
+        along = (areas * whole).sum(axis=-1)
+        return (along > -SLACK * (whole**2).sum(axis=-1)).all(axis=1)
 
 
 def _ears(ring: Float[np.ndarray, "n 3"]) -> tuple[Int[np.ndarray, "t 3"], bool]:
     """Triangles of one polygon, and true if they cover it exactly."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return _ears_of(ring)
+
+
+def _ears_of(ring: Float[np.ndarray, "n 3"]) -> tuple[Int[np.ndarray, "t 3"], bool]:
     axes = _plane(ring)
     flat = ring[:, axes] - ring[0, axes]
     ears = mapbox_earcut.triangulate_float64(flat, np.array([len(flat)], np.uint32))

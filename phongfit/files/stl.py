@@ -53,7 +53,7 @@ def _corners_of_text(data: bytes) -> np.ndarray:
         corners = np.array(words, dtype=object).reshape(-1, 3).astype(float)
     except ValueError:
         corners = None
-    if corners is None or len(corners) != 3 * facets or not data.isascii():
+    if corners is None or len(corners) != 3 * facets or b"\0" in data:
         raise ValueError(
             "is broken or truncated: expected a binary file of its length, or text "
             "with three vertices for each facet"

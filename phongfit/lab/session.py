@@ -57,7 +57,7 @@ class Target:
 
     `shrunk`: factor by which a photograph was shrunk. `brighten`: factor for the
     display of the photograph and of pictures beside it. `encoding`: of the photograph's
-    file. `truth`: settings of a synthetic target.
+    file, `None` if that does not clamp light. `truth`: settings of a synthetic target.
     """
 
     image: Float[np.ndarray, "height width 3"]
@@ -70,7 +70,7 @@ class Target:
     @property
     def film(self) -> Film | None:
         """The film of a shrunk photograph, whose averaged numbers do not reveal it."""
-        if self.encoding is None or self.shrunk == 1 or self.image.max() > 1:
+        if self.encoding is None or self.shrunk == 1:
             return None
         return Film(encoding=self.encoding)
 
@@ -132,9 +132,10 @@ class Session:
         self, name: str, content: bytes, encoding: Encoding
     ) -> dict[str, Any]:
         """Add a photograph from a file as a target: see [`read_photograph`][]."""
-        image, shrunk = read_photograph(name, content, encoding)
+        image, shrunk, clamps = read_photograph(name, content, encoding)
         mask = np.ones(image.shape[:2], bool)
-        target = Target(image, mask, None, shrunk, brightening(image), encoding)
+        of_file = encoding if clamps else None
+        target = Target(image, mask, None, shrunk, brightening(image), of_file)
         return self._keep(target)
 
     def choose(self, request: ChosenRequest) -> dict[str, Any]:
@@ -154,7 +155,7 @@ class Session:
         image, times = shrunk(photograph.image)
         known = np.atleast_3d(photograph.mask).astype(float).min(axis=-1, keepdims=True)
         mask = shrunk(known)[0][..., 0] >= 1
-        encoding = given.film.encoding
+        encoding = given.film.encoding if given.film.clamp else None
         target = Target(image, mask, None, times, brightening(image), encoding)
         settings = settings_of(given.scenes[request.number])
         return self._keep(target) | {

@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Bool, Float
 
-from phongfit.files.images import read_image, read_mask
+from phongfit.files.images import read_film, read_image, read_mask
 from phongfit.files.inputs import naming
 from phongfit.files.meshes import load_mesh
 from phongfit.geometry.meshes import Mesh
@@ -58,20 +58,21 @@ def read_mesh(name: str, content: bytes) -> Mesh:
 
 def read_photograph(
     name: str, content: bytes, encoding: Encoding
-) -> tuple[Float[np.ndarray, "height width 3"], int]:
+) -> tuple[Float[np.ndarray, "height width 3"], int, bool]:
     """An image as linear light: see [`read_image`][].
 
-    **Returns:** the image, its longer side at most `MAX_SIDE`, and the factor by which
-    it was shrunk.
+    **Returns:** the image, its longer side at most `MAX_SIDE`; the factor by which it
+    was shrunk; and true if its file clamps light at black and white.
 
     **Raises:** `ValueError` that names the file.
     """
-    image = _read(
-        name,
-        content,
-        lambda path: read_image(path, encoding, max_pixels=MAX_PIXELS),
-    )
-    return shrunk(image)
+
+    def read(path: Path) -> tuple[np.ndarray, bool]:
+        image = read_image(path, encoding, max_pixels=MAX_PIXELS)
+        return image, read_film(path, encoding).clamp
+
+    image, clamps = _read(name, content, read)
+    return *shrunk(image), clamps
 
 
 def read_photograph_mask(

@@ -1,4 +1,4 @@
-"""Reading ahead: the next are read while one is worked on."""
+"""Reading ahead in threads, while the caller works on the last item."""
 
 import collections
 import concurrent.futures
@@ -12,9 +12,9 @@ T = TypeVar("T")
 def ahead(
     read: Callable[[int], T], count: int, beside: int = 1
 ) -> Iterator[tuple[int, T]]:
-    """Numbers from 0 on, and what is read for each, in the context of the caller.
+    """Yield numbers from 0 on with `read(number)`, run in the caller's context.
 
-    **Arguments:** `beside`: how many are read at a time.
+    **Arguments:** `beside`: number of items that are read in parallel.
     """
     coming: collections.deque[concurrent.futures.Future[T]] = collections.deque()
     with concurrent.futures.ThreadPoolExecutor(beside) as readers:

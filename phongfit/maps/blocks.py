@@ -1,10 +1,10 @@
-"""A map in blocks: each is read, fitted and written by itself, by whoever has the time.
+"""Maps in blocks, each of which is read, fitted and written separately by any worker.
 
-A block is a rectangle of the image and one chunk of every array of the output. What is
-known of all blocks lies beside the maps in the output's store, so that a worker is told
-no more than where that is, and the number of a block. There, too, is the ledger: of
-every finished block a checksum of its maps, written after them. Who is asked for a
-block that is finished, and whose maps are those of the checksum, does nothing.
+A block is a rectangle of the image and one chunk of every array of the output. The plan
+with the inputs of all blocks is in the output's store, so that a worker needs only the
+path of the store and the number of a block. The store also has the ledger, with a
+checksum of the maps of every finished block, written after them. A block is not fitted
+again if its maps match the checksum.
 """
 
 import dataclasses
@@ -74,7 +74,7 @@ if TYPE_CHECKING:
     from phongfit.files.zarrs import Array, Group
 
 BLOCK_BYTES = 2**26
-"""How much a block holds of the images, as they have it, unless told otherwise."""
+"""Maximum bytes of stored image samples in a block by default."""
 
 DIGEST = 16
 
@@ -82,27 +82,27 @@ Counts = dict[str, int]
 
 
 class Stored(NamedTuple):
-    """An array that was given, by its name in the output's store."""
+    """Name of an input array in the output's store."""
 
     name: str
 
     def read(self, group: "Group", window: Window, size: tuple[int, int]) -> np.ndarray:
-        """A rectangle of it."""
+        """A rectangle of the array, padded to `size`."""
         return read_window(writable(group, f"{GIVEN}/{self.name}"), window, size)
 
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """What all blocks share, and any worker reads.
+    """Inputs that all blocks share, which workers read from the output's store.
 
-    - `images`: where they are; `encoding`: what their numbers are. `None` for those
-        that this process alone reads.
+    - `images`: path or URL of the images; `encoding`: their encoding. `None` for images
+        that only this process reads.
     - `size`: rows and columns of the image; `block`: of a block.
-    - `scenes`: a normal map of theirs has but one pixel: `surface` has the others.
+    - `scenes`: with one pixel of a normal map, whose other pixels are in `surface`.
     - `surface`: normals, mask and perhaps positions; `None` for another surface.
     - `layers`: mask and noise: a number, `None`, or one or several of [`Stored`][].
     - `options`: the other arguments of [`make_job`][].
-    - `head`: attributes of the output: how its arrays are read.
+    - `head`: attributes of the output, which are needed to read its arrays.
     """
 
     images: str | None
@@ -117,19 +117,19 @@ class Plan:
 
     @property
     def grid(self) -> tuple[int, int]:
-        """How many blocks there are from top to bottom, and from left to right."""
+        """Number of blocks from top to bottom, and from left to right."""
         (height, width), (rows, columns) = self.size, self.block
         return -(-height // rows), -(-width // columns)
 
     def window(self, number: int) -> Window:
-        """Rows and columns of a block that the image has."""
+        """Rows and columns of a block, clipped to the image."""
         first = np.multiply(np.unravel_index(number, self.grid), self.block)
         last = np.minimum(first + self.block, self.size)
         rows, columns = map(slice, first.tolist(), last.tolist())
         return rows, columns
 
     def job(self, group: "Group", number: int, stack: AbstractStack | None) -> Job:
-        """The job of a block, with padding that no sample is used of.
+        """The job of a block, with masked padding.
 
         **Arguments:** `stack`: the images; `None` for those that the plan names.
         """
@@ -153,14 +153,14 @@ class Plan:
         def known(noise: Any) -> Any:
             if isinstance(noise, list):
                 return [known(one) for one in noise]
-            # No pixel of the padding counts, but its noise has to be some.
+            # Padding is masked, but its noise must be positive to pass the checks.
             return np.where(noise > 0, noise, 1) if np.ndim(noise) else noise
 
         first = self.scenes[0]
         camera = WindowCamera(first.camera, columns.start, rows.start, size[1], size[0])
         surface = first.surface
         if self.surface is not None:
-            # As it was: normalised again, its normals would be others in the last bit.
+            # Without normalising again, which would change the normals' last bit.
             parts = {k: jnp.asarray(layer(v)) for k, v in self.surface.items()}
             surface = eqx.tree_at(
                 lambda s: [getattr(s, name) for name in parts],
@@ -188,11 +188,11 @@ class Plan:
 
 
 class Place(NamedTuple):
-    """All that a worker is told besides a block's number.
+    """Address of a plan, which workers get together with the number of a block.
 
     - `output`: the store of the maps.
-    - `digest`: of the plan in it, so that nobody else's is run.
-    - `versions`: of the programs that planned.
+    - `digest`: checksum of the plan in it, so that no other plan is run.
+    - `versions`: versions of the packages that made the plan.
     """
 
     output: str
@@ -203,14 +203,14 @@ class Place(NamedTuple):
 def fit_block(
     place: Place, number: int, stack: AbstractStack | None = None, threads: int = 1
 ) -> tuple[Counts, bool]:
-    """See to it that a block is finished.
+    """Fit and write a block, unless it is finished.
 
     **Arguments:**
 
-    - `stack`: images that this process reads; else the plan says where they are.
-    - `threads`: how many work on it.
+    - `stack`: images that this process reads; `None` for those that the plan names.
+    - `threads`: number of threads that fit it.
 
-    **Returns:** counts of its pixels, and whether it had to be fitted.
+    **Returns:** counts of its pixels, and whether it was fitted.
 
     **Raises:** `ValueError` or `OSError` that names what cannot be read or written.
     """
@@ -245,16 +245,16 @@ def fit_block(
 
 @functools.lru_cache(maxsize=2)
 def _plan(place: Place) -> Plan:
-    """The plan that a place speaks of.
+    """Read the plan of a place.
 
-    **Raises:** `ValueError` if this process cannot carry it out to the same bits.
+    **Raises:** `ValueError` if this process cannot give bit-identical results.
     """
     if place.versions != versions():
         raise ValueError(
             f"client: expected workers with {place.versions}, got {versions()}"
         )
     kept = np.asarray(open_array(place.output, PLAN)).tobytes()
-    # It is run as it is found.
+    # The digest is checked first, since a pickle can run code.
     if hashlib.blake2b(kept, digest_size=DIGEST).digest() != place.digest:
         raise ValueError(
             f"{place.output}: another run has started there meanwhile; it goes on"
@@ -274,7 +274,7 @@ def _noted(ledger: "Array", entry: Window) -> bytes | None:
     try:
         noted = read_window(ledger, entry, (1, 1)).tobytes()
     except ValueError:
-        # Broken by something else than an interrupt: done again.
+        # The ledger is damaged here: the block is fitted again.
         return None
     return noted if any(noted) else None
 
@@ -288,14 +288,14 @@ def _kept(group: "Group", plan: Plan, window: Window) -> dict[str, np.ndarray] |
             for name in plan.head["arrays"]
         }
     except ValueError:
-        # As above.
+        # The maps are damaged: the block is fitted again.
         return None
 
 
 def _checksum(plan: Plan, number: int, arrays: Mapping[str, np.ndarray]) -> bytes:
-    """Of the job, the block's number and its maps: no other block will do."""
+    """Checksum of the job, the block's number and its maps."""
     job = json.dumps(plan.head["job"], sort_keys=True)
-    # Processors have instructions for this one.
+    # SHA-256 is fast, since processors have instructions for it.
     found = hashlib.sha256(f"{job} {number}".encode())
     for name in sorted(arrays):
         array = arrays[name]
@@ -318,9 +318,9 @@ def make_place(
     noise: Any = None,
     **options: Any,
 ) -> tuple[Place, Plan]:
-    """A plan, checked, and written into the output's store.
+    """Make a plan, check it, and write it into the output's store.
 
-    **Arguments:** as [`fit_stored_maps`][] has them.
+    **Arguments:** as for [`fit_stored_maps`][].
 
     **Raises:** `ValueError` that names the argument, or a store of another job;
     `OSError` if the output cannot be written.
@@ -337,7 +337,7 @@ def make_place(
             "which fit_maps draws, and no block has"
         )
     start = options.get("start")
-    # Of a fit no more than its material is asked.
+    # Only the material of a fit is used, so that the plan is small.
     options["start"] = getattr(start, "material", start)
     size, block = stack.shape[1:], block_size(stack, block)
     given = _Given()
@@ -381,7 +381,7 @@ def make_place(
     _make_arrays(group, plan, settings, levels.varies)
     for name, array in given.arrays.items():
         keep_array(group, f"{GIVEN}/{name}", array, block)
-    # A function of the reader's own may be among it.
+    # Cloudpickle, since the plan may contain functions that the user defined.
     packed = np.frombuffer(cloudpickle.dumps(plan), np.uint8)
     made = make_array(group, PLAN, packed.shape, np.uint8, packed.shape)
     write_window(made, (slice(None),), packed)
@@ -390,13 +390,13 @@ def make_place(
 
 
 class _Given:
-    """Arrays that were given, to be put where every worker finds its part of them."""
+    """Input arrays that are to be written into the output's store for the workers."""
 
     def __init__(self) -> None:
         self.arrays: dict[str, np.ndarray] = {}
 
     def layers(self, name: str, value: Any) -> Any:
-        """The same with [`Stored`][] in place of arrays; numbers stay."""
+        """Collect arrays and replace them by [`Stored`][]; numbers are kept."""
         if isinstance(value, list | tuple):
             return [self.layers(f"{name}_{k:04d}", one) for k, one in enumerate(value)]
         if value is None or np.ndim(value) == 0:
@@ -408,7 +408,7 @@ class _Given:
 def _apart(
     surface: AbstractSurface, given: _Given, size: tuple[int, int]
 ) -> tuple[AbstractSurface, dict[str, Stored] | None]:
-    """A surface without what it has for every pixel, and where that is."""
+    """Separate a surface into one without arrays over the pixels, and these arrays."""
     if not isinstance(surface, NormalMap) or surface.mask.shape == (1, 1):
         return surface, None
     if surface.mask.shape != size:
@@ -428,21 +428,21 @@ def _apart(
 
 
 def _identify(tree: Any, layers: Masks | Noise) -> str:
-    """A checksum of arrays, and of the kinds of what holds them."""
+    """Checksum of a tree's arrays and structure, and of masks or noise."""
     found = hashlib.blake2b(digest_size=DIGEST)
     leaves, structure = jax.tree.flatten(tree)
     for leaf in leaves:
         found.update(np.ascontiguousarray(leaf).tobytes())
-    # Functions have an address, another one in each process.
+    # Addresses of functions differ between processes.
     found.update(re.sub(r" at 0x[0-9a-f]+", "", str(structure)).encode())
     layers.identify(found.update)
     return found.hexdigest()
 
 
 def _open_output(output: str, job: dict[str, str]) -> "Group":
-    """The store of the maps, new or of the same job.
+    """Open the store of the maps, which is new or of this job.
 
-    **Raises:** `ValueError` if it is another's.
+    **Raises:** `ValueError` if it holds another job or something else.
     """
     group = open_group(output, "a")
     held = attributes(group)
@@ -456,7 +456,7 @@ def _open_output(output: str, job: dict[str, str]) -> "Group":
 def _make_arrays(
     group: "Group", plan: Plan, settings: MapSettings, varies: bool
 ) -> None:
-    """The arrays that are not there yet, or not as they should be."""
+    """Make arrays that are missing in the store, or have another shape or type."""
     floats, inf, nan = plan.head["precision"], float("inf"), float("nan")
     wanted: dict[str, tuple[tuple[int, ...], str, Any]] = {}
     for name in MAP_PARAMETERS:
@@ -482,16 +482,16 @@ def _make_arrays(
             make_array(group, name, shape, dtype, chunks, fill)
     shape, chunks = (*plan.grid, DIGEST), (1, 1, DIGEST)
     if not holds(group, LEDGER, shape, "uint8", chunks):
-        # As it stands, so that one that was cut off cannot be read.
+        # Uncompressed, so that a truncated chunk raises an error when it is read.
         make_array(group, LEDGER, shape, "uint8", chunks, compressed=False)
 
 
 def block_size(stack: AbstractStack, wanted: tuple[int, int] | None) -> tuple[int, int]:
     """Rows and columns of a block.
 
-    As the shards of the images have them, or chunks where there are none, or rows of
-    photographs: so many of them that a block holds up to [`BLOCK_BYTES`][], or a part
-    of one that holds more.
+    By default a block is made of shards of the images, of chunks if there are no
+    shards, or of rows of photographs. It holds as many as fit into [`BLOCK_BYTES`][],
+    or a part of one that is larger.
     """
     count, height, width = stack.shape
     if wanted is not None:

@@ -1,8 +1,8 @@
 """Maps from zarr arrays to zarr arrays, by this process or by the workers of Dask.
 
-Dask is told numbers of blocks and gives back counts; what is large goes from a worker
-to the stores and back. What is finished stands in the output's ledger, not in Dask's
-memory: workers, scheduler and this process may die at any moment.
+Dask transfers only numbers of blocks and counts of pixels; workers read and write the
+arrays themselves. Finished blocks are recorded in the output's ledger instead of Dask's
+memory, so that workers, scheduler and this process may die at any moment.
 """
 
 import concurrent.futures
@@ -42,18 +42,18 @@ ONE_CORE = {
     "OPENBLAS_NUM_THREADS": "1",
     "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
 }
-"""A worker's environment, before it starts JAX: one thread computes."""
+"""Environment of a worker before it imports JAX: computations use one thread."""
 
 DEATHS = 12
-"""So many workers may die over one block: another one is killed by chance, this many by
-what they do."""
+"""Maximum number of workers that may die over one block: a few deaths may have other
+reasons, so many are caused by the block."""
 
 AHEAD = 4
-"""Blocks for each thread of a worker that the scheduler knows of at a time."""
+"""Number of blocks per thread that are submitted to the scheduler at a time."""
 
 
 BESIDE = 8
-"""Blocks that one process works on at a time at most: each takes its memory."""
+"""Maximum number of blocks that one process fits in parallel, to limit memory."""
 
 
 @checked
@@ -67,13 +67,13 @@ def fit_stored_maps(
     progress: bool = True,
     **options: Any,
 ) -> StoredMaps:
-    """[`fit_maps`][] of images that no memory holds, to maps that none need hold.
+    """Fit maps as by [`fit_maps`][], if images or maps do not fit into memory.
 
-    Block by block: each is read from one zarr store, or from photographs, and written
-    to another, here or by the workers of a Dask cluster, one block at a time and
-    thread. A run that was interrupted, in whatever way, goes on when it is started
-    again, to the same bits: finished blocks are read and compared with their checksums,
-    and not fitted again. Bits are the same on processors of the same kind.
+    Each block is read from a zarr store, or from photographs, and written to another
+    store, by this process or by the workers of a Dask cluster, with one block at a time
+    per thread. An interrupted run continues when it is started again, with
+    bit-identical results: finished blocks are compared with their checksums, and not
+    fitted again. Results are bit-identical on processors of one kind.
 
         stack = pf.ZarrStack("dome/stack.zarr")
         with Client("tcp://10.0.0.1:8786") as client:
@@ -83,22 +83,23 @@ def fit_stored_maps(
 
     - `scenes`: as in [`fit_maps`][]. A normal map of one pixel stands for a plane.
     - `images`: a [`ZarrStack`][], or the path or URL of one; or another stack, such as
-        [`DatasetStack`][], whose photographs this process reads: then no workers can.
+        [`DatasetStack`][], which only this process can read, without a client.
     - `output`: the path or URL of a zarr store that is new, or of the same job. Its
         chunks are the blocks.
-    - `client`: of a Dask cluster; default the one that is current, or else this process
-        does the work. Workers want one thread each: see the guide.
-    - `block`: rows and columns of a block. Default: as the images' shards or chunks
-        have them, as many together as 64 MB of their numbers hold.
-    - `progress`: show a bar on a terminal, elsewhere a line now and then.
+    - `client`: client of a Dask cluster; default: the current one, or else this process
+        does the work. Workers should have one thread each: see the guide.
+    - `block`: rows and columns of a block. Default: as many of the images' shards or
+        chunks as hold 64 MB of stored samples.
+    - `progress`: show a bar on a terminal, or occasional lines elsewhere.
     - `options`: those of [`fit_maps`][]: `unknowns`, `per_channel`, `known`, `bounds`,
         `mask`, `noise`, `film`, `loss`, `normals`, `start` and `min_cosine`.
 
-    **Returns:** [`StoredMaps`][].
+    **Returns:** [`StoredMaps`][]. They have no warnings of the maps as a whole, such as
+    those of misplaced pixels or of the lamps' strengths.
 
     **Raises:** `ValueError` that names the argument, or the store that is missing or
     broken; `OSError` if the output cannot be written, another run writes there, or the
-    cluster is gone. Finished blocks stay.
+    cluster is gone. Finished blocks are kept.
     """
     require("zarr", "fsspec", "cloudpickle")
     untraced("fit_stored_maps is no function that JAX can trace", scenes=scenes)
@@ -135,7 +136,7 @@ def fit_stored_maps(
 def _here(
     place: Place, count: int, stack: AbstractStack | None
 ) -> Iterator[tuple[int, tuple[Counts, bool]]]:
-    """Blocks as this process finishes them, some of them side by side."""
+    """Fit blocks in this process, some in parallel, and yield them in order."""
     cores = side_by_side(as_mesh(None))
     beside = min(cores, BESIDE)
 
@@ -144,7 +145,7 @@ def _here(
         return workers.submit(context.run, fit_block, place, number, stack, threads)
 
     with concurrent.futures.ThreadPoolExecutor(beside) as workers:
-        # The first alone, since the others want what it compiles.
+        # The first alone, since the others use the program that it compiles.
         yield 0, begin(0, cores).result()
         coming = [begin(number, cores // beside) for number in range(1, count)]
         try:
@@ -156,7 +157,7 @@ def _here(
 
 
 def _current() -> "distributed.Client | None":
-    """The client that is current, if Dask is at work in this process."""
+    """The current client, if this process has one."""
     distributed = sys.modules.get("distributed")
     if distributed is None:
         return None
@@ -181,10 +182,10 @@ def _check_client(client: Any) -> None:
 def _spread(
     client: "distributed.Client", place: Place, count: int
 ) -> Iterator[tuple[int, tuple[Counts, bool]]]:
-    """Blocks as workers finish them.
+    """Submit blocks to workers, and yield them as they are finished.
 
-    **Raises:** what a block raises; `OSError` if the cluster is gone, or workers die
-    over a block again and again.
+    **Raises:** `ValueError` or `OSError` of a block; `OSError` if the cluster is gone,
+    or more than `DEATHS` workers die over a block.
     """
     import distributed
 
@@ -232,26 +233,27 @@ def _spread(
 
 
 def _failure(future: Any) -> BaseException | None:
-    """Why there is no result."""
+    """The exception of a future without a result."""
     if future.status != "error":
         return None
     return future.exception()
 
 
 def _patience(error: Any) -> int:
-    """How many workers died before Dask gave up."""
+    """Number of workers that died before Dask gave up."""
     return error.allowed_failures + 1
 
 
 @contextlib.contextmanager
 def dask_client(where: str) -> "Iterator[distributed.Client]":
-    """A client for words of the command line.
+    """A Dask client for the value of a command's option.
 
-    **Arguments:** `where`: `local:N`, N workers on this machine, a thread each, which
-    end with the block; or the address of a scheduler, such as `tcp://10.0.0.1:8786`.
+    **Arguments:** `where`: `local:N`, N workers on this machine with one thread each,
+    which end with the context; or the address of a scheduler, such as
+    `tcp://10.0.0.1:8786`.
 
-    **Raises:** `ValueError` for other words, or where Dask is not installed; `OSError`
-    if nobody answers.
+    **Raises:** `ValueError` for other values, or if Dask is not installed; `OSError` if
+    no scheduler answers.
     """
     require("dask", "distributed")
     kind, _, rest = where.partition(":")
@@ -284,12 +286,12 @@ def _local(count: int) -> "Iterator[distributed.Client]":
     flags = f"{os.environ.get('XLA_FLAGS', '')} {ONE_CORE['XLA_FLAGS']}".strip()
     environment = ONE_CORE | cache_environment() | {"XLA_FLAGS": flags}
     settings = {
-        # JAX's threads do not bear a fork.
+        # JAX is multithreaded, and a fork of its process may deadlock.
         "distributed.worker.multiprocessing-method": "spawn",
         "distributed.nanny.pre-spawn-environ": environment,
-        # Which worker dies has nothing to do with its block.
+        # The block is rarely the reason for a worker's death.
         "distributed.scheduler.allowed-failures": DEATHS - 1,
-        # Dask looks at itself on the cores that work: so often is enough for its page.
+        # Dask's monitoring runs on the workers' cores: less often than its default.
         "distributed.worker.profile.interval": "200ms",
         "distributed.admin.system-monitor.interval": "2s",
     }
@@ -308,7 +310,7 @@ def _local(count: int) -> "Iterator[distributed.Client]":
 
 
 def dashboard(client: "distributed.Client") -> str | None:
-    """The address of Dask's own page, where it runs."""
+    """The address of Dask's dashboard, or `None` if it does not run."""
     if client.cluster is not None and importlib.util.find_spec("bokeh") is None:
         return None
     services = client.scheduler_info().get("services", {})

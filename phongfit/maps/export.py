@@ -1,4 +1,4 @@
-"""Maps for other programs: materials with texture images."""
+"""Export of maps for other programs, as materials with texture images."""
 
 from pathlib import Path
 
@@ -34,17 +34,17 @@ def export_maps(
 ) -> str:
     """Write the maps of a folder as a material with textures, all or nothing.
 
-    What a pixel does not identify is filled in: see [`phongfit.maps.textures`][].
+    Unidentified parameters are filled in: see [`phongfit.maps.textures`][].
 
     **Arguments:**
 
-    - `path`: the file to write; the textures of an `.mtl` go beside it.
+    - `path`: the file to write; the textures of an `.mtl` are written beside it.
     - `to`: `"mtl"`, `"gltf"`, or `"obj"`, `"ply"` and `"stl"`, which hold a mesh.
-    - `nearest`: where the format cannot hold an exponent, write the nearest it holds.
+    - `nearest`: if the format cannot hold an exponent, write the nearest possible one.
     - `surface`: for glTF the mesh of the maps' height, in place of a rectangle.
-    - `distance`: as of [`Maps`][]`.height`.
+    - `distance`: as for [`Maps`][]`.height`.
 
-    **Returns:** what was written, in words.
+    **Returns:** a description of the written files.
 
     **Raises:** `ValueError` that names the file or the parameter, `OSError` that names
     `path`.
@@ -69,7 +69,7 @@ def export_maps(
         if to == "stl":
             write_stl(path, part)
             return f"{name}, the shape alone{words}"
-        # Each texel is a vertex, with a normal of its own.
+        # No normal texture, since each texel is a vertex and vertices have normals.
         textures = gltf_textures(textured, None)
     else:
         part = rectangle(*maps.flags.shape)
@@ -82,7 +82,7 @@ def export_maps(
 
 
 def relief(field: HeightField, normals: Float[np.ndarray, "height width 3"]) -> Part:
-    """A height field as triangles: a vertex for each pixel, with its own normal.
+    """A height field as triangles, with a vertex and a normal for each pixel.
 
     **Raises:** `ValueError` if no three neighbours have heights.
     """
@@ -94,7 +94,7 @@ def relief(field: HeightField, normals: Float[np.ndarray, "height width 3"]) -> 
     inside = field.mask.ravel()
     y, x = np.mgrid[:height, :width] + 0.5
     axes = np.asarray(field.camera.rotation, float)
-    # Where a normal is not identified it is 0: that of the camera's axis will do.
+    # A normal of 0 is not identified: it is replaced by the camera's axis.
     own = np.where(normals.any(axis=-1, keepdims=True), normals, [0, 0, 1])
     return Part(
         vertices[inside],
@@ -105,7 +105,7 @@ def relief(field: HeightField, normals: Float[np.ndarray, "height width 3"]) -> 
 
 
 def _filled_words(textured: TextureMaps) -> str:
-    """In how many pixels something is not their own; nothing if in none."""
+    """Text with the number of pixels that were filled in; empty for none."""
     count, of = int(textured.filled.sum()), int(textured.inside.sum())
     if count == 0:
         return ""
@@ -116,7 +116,7 @@ def _filled_words(textured: TextureMaps) -> str:
 
 
 def typical(textured: TextureMaps) -> Material:
-    """The median over all pixels, parameter by parameter."""
+    """Material with the median of each parameter over all pixels."""
     inside = textured.inside[..., 0] > 0
     return Material(
         np.median(textured.diffuse[inside], axis=0),
@@ -133,7 +133,10 @@ def _write_mtl(
     nearest: bool,
     part: Part | None = None,
 ) -> str:
-    """An `.mtl` with its textures; with a part an `.obj` that names it, too."""
+    """Write an `.mtl` with its textures, and with a part also an `.obj` that names it.
+
+    **Returns:** a description of the written files.
+    """
     if any(blank in path.stem for blank in " \t#"):
         raise ValueError(f"{path}: expected a name without blanks, for the textures")
     highest = float(textured.shininess.max())

@@ -1,4 +1,4 @@
-"""Maps as a folder: `maps.npz` for programs, floating-point TIFF for other tools."""
+"""Folders of maps: `maps.npz` for programs, floating-point TIFF for other tools."""
 
 import dataclasses
 from pathlib import Path
@@ -30,7 +30,7 @@ NORMALS_PICTURE = "normals.png"
 
 
 class MapSettings(AbstractRecord):
-    """What maps were asked for: see [`fit_maps`][]."""
+    """Options of the fit of maps: see [`fit_maps`][]."""
 
     unknowns: Many[str] = list(MAP_PARAMETERS)
     per_channel: Many[str] = ["ambient", "diffuse", "specular"]
@@ -47,7 +47,7 @@ class MapSettings(AbstractRecord):
 
 
 class SharedRecord(AbstractRecord):
-    """A material that pixels share; an error is `null` for what is not identified."""
+    """A material that pixels share; the error of an unidentified number is `null`."""
 
     share: float
     specular: Colour
@@ -57,10 +57,10 @@ class SharedRecord(AbstractRecord):
 
 
 class MapsRecord(AbstractRecord):
-    """`maps.json`: what the arrays beside it are, and how they were made.
+    """`maps.json`: description of the arrays beside it, and of the fit.
 
-    `encoding` is the photographs'; version 1 does not have it. `materials` are those
-    that pixels share, and `criterion` is BIC of 1, 2, … of them.
+    `encoding` is that of the photographs; version 1 does not have it. `materials` are
+    shared by pixels, and `criterion` is BIC of 1, 2, … materials.
     """
 
     format: Literal["phongfit maps"]
@@ -83,18 +83,18 @@ def save_folder(
     model: AbstractSpecular,
     encoding: Encoding,
 ) -> None:
-    """Write maps into a folder that is there.
+    """Write maps into an existing folder.
 
-    A TIFF for each map and one for its errors, infinite where a pixel is unidentified;
-    normals as numbers, and as a picture of (n + 1) / 2.
+    Each map has a TIFF, and another for its errors, which are infinite for unidentified
+    pixels. Normals are written as numbers, and as a picture of (n + 1) / 2.
 
-    **Arguments:** `encoding`: that of the photographs.
+    **Arguments:** `encoding`: of the photographs.
 
     **Raises:** `OSError` that names the file.
     """
     maps.save(folder / ARRAYS_FILE)
     write_array(folder / NORMALS_FILE, maps.normals)
-    # As other programs have normal maps; outside black, which is no normal.
+    # Encoded as in other programs; black outside, which no normal is encoded as.
     coloured = np.where(maps.normals.any(axis=-1, keepdims=True), maps.normals, -1)
     write_image(folder / NORMALS_PICTURE, (coloured + 1) / 2, "linear", 16)
     for name in maps.unknowns:
@@ -114,7 +114,7 @@ def save_folder(
 
 
 def _shared(materials: BasisMaterials | None) -> dict[str, Any]:
-    """Materials that pixels share, as the record has them."""
+    """Shared materials in the form of the record."""
     if materials is None:
         return {}
     shared = [
@@ -135,16 +135,16 @@ def _finite(error: float) -> float | None:
 
 
 def _write_tiff(path: Path, array: np.ndarray) -> None:
-    # Not as an image, which knows no infinity.
+    # Not with `write_image`, which does not allow infinite numbers.
     numbers = np.broadcast_to(array, (*array.shape[:2], 3)).astype(np.float32)
     with replacing(path) as temporary:
         WRITERS[".tif"][32](temporary, np.ascontiguousarray(numbers))
 
 
 def load_folder(folder: Path) -> tuple[Maps, MapsRecord, np.ndarray]:
-    """The maps of a folder, their record, and the normals.
+    """Read the maps of a folder, their record, and the normals.
 
-    **Raises:** `ValueError` that names the file and what is wrong with it.
+    **Raises:** `ValueError` that names the file and its fault.
     """
     with naming(str(folder)):
         record, arrays, normals = (
@@ -153,7 +153,7 @@ def load_folder(folder: Path) -> tuple[Maps, MapsRecord, np.ndarray]:
     maps, read = load_maps(arrays), read_record(record, MapsRecord)
     seen = _normals(normals, maps)
     if maps.specular_model is None:
-        # Of an older version, which wrote these two beside the maps only.
+        # Older versions wrote normals and model beside `maps.npz` only.
         given = np.where(seen.any(axis=-1), 0, np.inf)
         maps = dataclasses.replace(
             maps,

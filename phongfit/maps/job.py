@@ -1,4 +1,4 @@
-"""From scenes to what tiles need: geometry resolved once, lights stacked, settings."""
+"""Jobs of fitting maps: checked settings, stacked lights, geometry of all pixels."""
 
 import dataclasses
 import functools
@@ -33,17 +33,17 @@ from phongfit.scene import Scene
 
 @runtime_checkable
 class Fitted(Protocol):
-    """What has a material: the [`Fit`][] of a whole image."""
+    """An object with a material, such as the [`Fit`][] of a whole image."""
 
     @property
     def material(self) -> Material:
-        """Where pixels start from."""
+        """The material whose exponent pixels start from."""
         ...
 
 
 @dataclasses.dataclass(frozen=True)
 class Geometry:
-    """Per pixel what it sees; one row where it is the same for all."""
+    """Surface, viewer and shadows of every pixel; one row if equal for all pixels."""
 
     normal: np.ndarray
     position: np.ndarray
@@ -56,13 +56,13 @@ class Geometry:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Normals in the camera's axes and depth along its axis, of every pixel.
 
-        0 and NaN where no surface is seen; NaN where no depth is known.
+        Outside the surface normals are 0 and depths NaN; unknown depths are NaN.
 
         **Arguments:** `found`: (pixels, 3), normals in place of the surface's own.
         """
         camera, inside = scene.camera, self.mask
         world = self.normal if found is None else found
-        # Not by BLAS, whose threads would wait for more, and keep cores from others.
+        # Not by BLAS: its threads busy-wait after a call and block cores.
         axes = np.asarray(camera.rotation)
         normals = np.einsum("...i,ij", world.reshape(*inside.shape, 3), axes)
         depth = np.full(inside.shape, np.nan, normals.dtype)
@@ -77,7 +77,7 @@ class Geometry:
     def tile(
         self, pixels: np.ndarray, target: Coded, used: np.ndarray, size: int
     ) -> Tile:
-        """The tile of some pixels, and of others up to `size` without any light."""
+        """The tile of some pixels, with geometry padded to `size` pixels."""
         padded = np.pad(pixels, (0, size - len(pixels)), mode="edge")
 
         def rows(table: np.ndarray) -> np.ndarray:
@@ -97,9 +97,9 @@ class Geometry:
 
 @dataclasses.dataclass(frozen=True)
 class Job:
-    """What is fitted to which samples of which pixels.
+    """Inputs of a fit of maps: scenes, images, settings, masks, noise and geometry.
 
-    `unknowns` are those that were asked for, whether any light shows them or not.
+    `unknowns` are the requested ones, including those that no light identifies.
     """
 
     scenes: tuple[Scene, ...]
@@ -113,11 +113,11 @@ class Job:
 
     @functools.cached_property
     def pixels(self) -> np.ndarray:
-        """Flat indices of those that see the surface, and may be used."""
+        """Flat indices of the pixels that see the surface and are not masked."""
         return np.flatnonzero(self.geometry.mask & self.masks.anywhere())
 
     def tile(self, pixels: np.ndarray, size: int) -> Tile:
-        """The tile of some pixels, not [`padded`][phongfit.maps.pixel.samples.Tile]."""
+        """The tile of some pixels; see [`padded`][phongfit.maps.pixel.samples.Tile]."""
         order = self.outside.lighting.order
         target = self.stack.take_coded(pixels, order)
         hidden = np.ma.getmask(target.numbers)
@@ -126,14 +126,14 @@ class Job:
         target = target._replace(numbers=np.ma.getdata(target.numbers))
         tile = self.geometry.tile(pixels, target, used, size)
         if tile.visibility is None and self.settings.normals == "fit":
-            # Later passes know shadows: one program serves all of them.
+            # Later passes have shadows: with this array one program serves all passes.
             shape = len(order), self.outside.lighting.lobes, size
             everything = np.broadcast_to(np.ones((), tile.normal.dtype), shape)
             tile = tile._replace(visibility=everything)
         return tile
 
     def identify(self) -> dict[str, str]:
-        """Checksums of all that the result rests on, save for the images."""
+        """Checksums of all inputs that determine the result, except the images."""
         place = hashlib.blake2b(digest_size=16)
         geometry = self.geometry
         for array in (geometry.normal, geometry.position, geometry.to_viewer):
@@ -189,7 +189,7 @@ def settle(
     start: Any = None,
     min_cosine: float = 0.0,
 ) -> tuple[MapSettings, Outside]:
-    """What all pixels share, wherever they are.
+    """Check the arguments, and return settings and inputs that all pixels share.
 
     **Raises:** `ValueError` that names the argument.
     """
@@ -211,7 +211,7 @@ def settle(
 
 
 def _as_one(film: Film | Sequence[Film] | None, noise: Noise) -> Film | None:
-    """The clamp of all images.
+    """The film whose clamp all images have.
 
     **Raises:** `ValueError` that names the argument.
     """
@@ -227,9 +227,9 @@ def _as_one(film: Film | Sequence[Film] | None, noise: Noise) -> Film | None:
 
 
 def check_sizes(scenes: tuple[Scene, ...], shape: tuple[int, int, int]) -> None:
-    """Are there as many images as scenes, of the camera's size?
+    """Check that there is one image per scene, of the camera's size.
 
-    **Raises:** `ValueError` that says what was expected.
+    **Raises:** `ValueError` that states the expected number or size.
     """
     camera = scenes[0].camera
     if shape[0] != len(scenes):
@@ -244,7 +244,7 @@ def check_sizes(scenes: tuple[Scene, ...], shape: tuple[int, int, int]) -> None:
 
 
 def check_scenes(scenes: Any) -> tuple[Scene, ...]:
-    """Scenes of one surface and camera, lit pixel by pixel, otherwise in any light.
+    """Check that scenes have Phong shading and differ in lights and fog only.
 
     **Raises:** `ValueError` that names the scene.
     """
@@ -277,7 +277,7 @@ def _same(a: Any, b: Any) -> bool:
 
 
 def resolve_geometry(scenes: tuple[Scene, ...], lighting: Lighting) -> Geometry:
-    """What every pixel sees, from the first scene; shadows from each."""
+    """Geometry of every pixel from the first scene, with shadows of each scene."""
     first = scenes[0]
     gbuffer = trace(first.surface, first.camera)
     mask = np.asarray(gbuffer.mask)
@@ -300,7 +300,7 @@ def resolve_geometry(scenes: tuple[Scene, ...], lighting: Lighting) -> Geometry:
 
 
 def _rows(array: Any, alike: bool = True) -> np.ndarray:
-    """(pixels, 3), or (1, 3) if all are alike."""
+    """Array of shape (pixels, 3), or (1, 3) if all rows are equal."""
     rows = np.asarray(array).reshape(-1, 3)
     return rows[:1].copy() if alike and (rows == rows[0]).all() else rows
 
@@ -308,7 +308,7 @@ def _rows(array: Any, alike: bool = True) -> np.ndarray:
 def _visibility(
     scenes: tuple[Scene, ...], lighting: Lighting, size: tuple[int, int]
 ) -> np.ndarray:
-    # As flags, a quarter of what numbers take: there is one for each sample.
+    # As booleans, which take a quarter of the memory: there is one for each sample.
     seen = np.ones((len(scenes), lighting.lobes, size[0] * size[1]), bool)
     for row, k in enumerate(lighting.order):
         lights = len(scenes[k].lights)
@@ -321,9 +321,9 @@ def _visibility(
 
 @functools.lru_cache(maxsize=64)
 def _lobe_of(model: AbstractSpecular, dtype: Any) -> tuple[bool, bool]:
-    """Whether a lobe is a power of one cosine, and whether an exponent shapes it.
+    """Two flags: a model's lobe is a power of one cosine; an exponent shapes it.
 
-    Asked once of a model, since every block of a map asks.
+    Cached, since every block of a map needs them.
     """
     del dtype
     return is_power(model), takes_exponent(model)
@@ -342,7 +342,7 @@ def make_settings(
     normals: Literal["given", "fit"] = "given",
     materials: int | Literal["auto"] | None = None,
 ) -> MapSettings:
-    """Settings of a pixel's fit, checked.
+    """Check the arguments of a pixel's fit and return its settings.
 
     **Raises:** `ValueError` that names the argument.
     """
@@ -372,7 +372,7 @@ def make_settings(
             f"{', '.join(lacking)}: a map has one for each channel, and only shininess "
             "may be shared"
         )
-    # Where there is no ambient light, nothing is known of what it would do.
+    # Without ambient light ρ_a has no effect on the images and cannot be fitted.
     names = tuple(
         name
         for name in MAP_PARAMETERS
@@ -428,7 +428,7 @@ def make_settings(
 def _check_sought(
     names: Sequence[str], per_channel: Sequence[str], min_cosine: float
 ) -> None:
-    """What a normal can be sought with.
+    """Check the options of a fit with unknown normals.
 
     **Raises:** `ValueError` that names the argument.
     """
@@ -452,7 +452,7 @@ def _check_sought(
 def _check_materials(
     materials: Any, names: Sequence[str], sought: bool, start: Any
 ) -> None:
-    """What pixels can share.
+    """Check the options of a fit with shared materials.
 
     **Raises:** `ValueError` that names the argument.
     """
@@ -503,9 +503,9 @@ def _has_ambient(scenes: tuple[Scene, ...]) -> bool:
 
 
 def check_enough(settings: MapSettings, images: int) -> None:
-    """Enough images for the unknowns of a pixel.
+    """Check that there are enough images for the unknowns of a pixel.
 
-    **Raises:** `ValueError` that says what fewer could identify.
+    **Raises:** `ValueError` that names unknowns which these images identify.
     """
     unknowns = settings.unknowns()
     if settings.normals == "fit":
@@ -530,7 +530,7 @@ def check_enough(settings: MapSettings, images: int) -> None:
 
 
 def _check_enough_for_normals(settings: MapSettings, images: int) -> None:
-    """Channels differ in colour, and tell no more of a normal than one does."""
+    """Check the number of images for normals, which more channels do not replace."""
     needed = len(settings.columns) + settings.shiny + 2 + settings.searched
     if images >= needed:
         return
@@ -548,7 +548,7 @@ def _check_enough_for_normals(settings: MapSettings, images: int) -> None:
 def make_outside(
     lighting: Lighting, settings: MapSettings, known: Any, start: Any, noise: Noise
 ) -> Outside:
-    """What all tiles share.
+    """The inputs that all tiles share.
 
     **Raises:** `ValueError` that names the argument.
     """
@@ -588,7 +588,7 @@ def _three(name: str, leaf: Any) -> np.ndarray:
 
 
 def identify_lights(outside: Outside) -> str:
-    """A checksum of the lights, and of the parameters that are known."""
+    """Checksum of the lights, the known parameters and the noise level."""
     light = hashlib.blake2b(digest_size=16)
     for leaf in jax.tree.leaves(outside):
         light.update(np.ascontiguousarray(leaf).tobytes())

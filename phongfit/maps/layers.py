@@ -1,4 +1,4 @@
-"""What is given for every sample beside the images: masks, and levels of noise."""
+"""Masks and noise levels of the samples of a stack of images."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -14,7 +14,7 @@ from phongfit.maps.stacks import Update, gather
 
 
 class Layers:
-    """Numbers over the pixels: the same for all images, or others for each."""
+    """Numbers for every pixel: one array for all images, or one for each image."""
 
     def __init__(self, name: str, given: Any, shape: tuple[int, int, int], dtype: Any):
         """**Arguments:**
@@ -23,9 +23,9 @@ class Layers:
         - `given`: (H, W), (H, W, 3), or a sequence of these or of numbers, one for each
             image.
         - `shape`: of the stack.
-        - `dtype`: of what is taken; the arrays themselves are not copied.
+        - `dtype`: of the numbers that are taken; the arrays themselves are not copied.
 
-        **Raises:** `ValueError` that names the argument, and which of several it is.
+        **Raises:** `ValueError` that names the argument, and the index of the array.
         """
         count, *size = shape
         for one in given if isinstance(given, list | tuple) else [given]:
@@ -70,7 +70,7 @@ class Layers:
     def take(
         self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
     ) -> Shaped[np.ndarray, "some_images n some_channels"]:
-        """Numbers of some pixels; as many images and channels as there are numbers."""
+        """Numbers of some pixels; axes of images and channels are 1 if shared."""
         if len(self) == 1:
             order = (0,)
         taken = [gather(self[k], pixels) for k in order]
@@ -85,7 +85,7 @@ class Layers:
 
 
 class Masks:
-    """Which samples may be used."""
+    """Masks of the samples that may be used."""
 
     def __init__(self, mask: Any, shape: tuple[int, int, int]):
         """**Arguments:** `mask`: `None` for all, or as for [`Layers`][].
@@ -96,7 +96,7 @@ class Masks:
         self._size = shape[1:]
 
     def anywhere(self) -> Bool[np.ndarray, "height width"]:
-        """Pixels of which any sample may be used."""
+        """Pixels with at least one sample that may be used."""
         if self._layers is None:
             return np.ones(self._size, bool)
         seen = np.zeros(self._size, bool)
@@ -107,7 +107,7 @@ class Masks:
     def take(
         self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
     ) -> Bool[np.ndarray, "some_images n some_channels"]:
-        """Whether samples of some pixels may be used."""
+        """Masks of some pixels: true for samples that may be used."""
         if self._layers is None:
             return np.ones((1, len(pixels), 1), bool)
         return self._layers.take(pixels, order)
@@ -119,11 +119,11 @@ class Masks:
 
 
 class Noise:
-    """Standard deviations of the samples: not known, one number, or one for each.
+    """Standard deviations of the samples: unknown, one number, or one per sample.
 
     - `known`: whether they were given.
-    - `varies`: whether they are not all the same number.
-    - `level`: that number; 1 where there is none, or where they vary.
+    - `varies`: whether they were given as arrays, or one for each image.
+    - `level`: the number that was given; 1 if unknown or varying.
     """
 
     def __init__(self, noise: Any, shape: tuple[int, int, int]):
@@ -166,13 +166,13 @@ class Noise:
         pixels: Int[np.ndarray, " n"],
         order: Sequence[int],
     ) -> Shaped[np.ndarray, "images n channels"]:
-        """Which samples count; where the noise varies, the inverse of theirs."""
+        """Weights of samples: `used`, or the inverse of the noise if that varies."""
         if not self.varies:
             return used
         return np.where(used, 1 / self._layers.take(pixels, order), 0)
 
     def given(self) -> float | Float[np.ndarray, "height width"] | None:
-        """The level: where it varies, the root mean square of each pixel's samples."""
+        """The noise level, or each pixel's root mean square if it varies."""
         if not self.varies:
             return self.level if self.known else None
         layers = range(len(self._layers))
@@ -180,6 +180,6 @@ class Noise:
         return np.sqrt(squares / len(layers))
 
     def identify(self, update: Update) -> None:
-        """Feed noise that varies to a checksum; other is given by its level."""
+        """Feed noise that varies to a checksum; `identify_lights` covers one level."""
         if self.varies:
             self._layers.identify(update)

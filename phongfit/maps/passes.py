@@ -1,4 +1,4 @@
-"""Normals make a surface, and the surface tells what reaches it from each lamp."""
+"""Fits in several passes, each on the surface of the last pass's normals."""
 
 import dataclasses
 import functools
@@ -20,14 +20,14 @@ from phongfit.maps.stacks import AbstractStack, KeptStack
 from phongfit.scene import Scene
 
 SAMPLE = 512
-"""Pixels that tell how far away a surface is."""
+"""Maximum number of pixels from which the distance of a surface is estimated."""
 
 REACH, FINEST = 0.25, 1e-3
-"""Of the nearest lamp's distance: how far the surface may be from where it is thought
-to be, half as far in each further pass; and how well its place is found."""
+"""Range and tolerance of the search for the surface's offset, in distances of the
+nearest lamp. The range is halved in each further pass."""
 
 STEPS = 5
-"""Places that are tried first."""
+"""Number of offsets that are tried first."""
 
 
 def fit_in_passes(
@@ -38,15 +38,15 @@ def fit_in_passes(
     output: str | os.PathLike[str] | None,
     progress: bool,
 ) -> tuple[Maps, Sequence[Scene]]:
-    """Maps of normals that are sought; each pass knows the surface of the last.
+    """Fit maps with unknown normals, each pass on the surface of the last.
 
     **Arguments:**
 
-    - `once`: one pass with all chosen but scenes, images, `output` and `progress`.
-    - `output`: where finished tiles of the first pass are kept; those of later ones in
-        folders inside.
+    - `once`: one pass, as a function of scenes, images, `output` and `progress`.
+    - `output`: folder of the finished tiles of the first pass; those of later passes
+        are kept in folders inside.
 
-    **Returns:** the maps, and the scenes of the last pass, where the pixels lie.
+    **Returns:** the maps, and the scenes of the last pass, with its surface.
     """
     maps = once(scenes, stack, output=output, progress=progress)
     for number in range(2, passes + 1):
@@ -70,14 +70,15 @@ def find_offset(
     sample: Bool[np.ndarray, "height width"],
     reach: float = REACH,
 ) -> float:
-    """How much nearer to the camera a surface is than `field` has it, world units.
+    """Estimate how much nearer to the camera a surface is than `field`, world units.
 
-    Normals do not tell; near lamps do: where it is, the noise of `sample` is least.
+    Normals do not determine it, near lamps do: the noise of `sample` is least at the
+    true offset.
 
     **Arguments:**
 
-    - `fit`: maps of scenes.
-    - `reach`: how far it may be, of the nearest lamp's distance.
+    - `fit`: function that fits maps to scenes.
+    - `reach`: largest offset, in distances of the nearest lamp.
     """
     from scipy.optimize import minimize_scalar
 
@@ -103,16 +104,16 @@ def find_offset(
 
 
 def usual_passes(scenes: Sequence[Scene]) -> int:
-    """Number of passes where normals are sought and none is given.
+    """Default number of passes of a fit with unknown normals.
 
-    Shadows are known from the second pass on; with near lamps each pass improves the
-    surface's position as well.
+    Shadows are computed from the second pass on; with near lamps each pass also
+    improves the surface's position.
     """
     return 3 if near_lamps(scenes) else 2
 
 
 def misplacement(maps: Maps, scenes: Sequence[Scene]) -> float:
-    """Error of the directions to near lamps from where pixels were taken to lie.
+    """Error of the directions to near lamps, from the pixels' assumed positions.
 
     The scenes' positions are compared with the surface that the fitted normals belong
     to, moved as a whole to the scenes' distance.
@@ -136,7 +137,7 @@ def misplacement(maps: Maps, scenes: Sequence[Scene]) -> float:
 
 
 def near_lamps(scenes: Sequence[Scene]) -> list[Float[np.ndarray, "3"]]:
-    """Where the lamps stand that stand anywhere, world units."""
+    """Positions of the lamps that have one, world units."""
     lamps = (light for scene in scenes for light in scene.lights)
     near = (x.position for x in lamps if isinstance(x, PointLight | SpotLight))
     return [np.asarray(position, float) for position in near]
@@ -159,9 +160,10 @@ def on_surface(
 
 
 def moved(field: HeightField, offset: float) -> Float[np.ndarray, "height width 3"]:
-    """Its points, nearer to the camera by `offset` in their middle, world units.
+    """Points of a height field, moved by `offset` to the camera, world units.
 
-    Through a pinhole the same normals belong to a surface that is larger or smaller.
+    For a perspective camera the surface is scaled about the eye, which keeps its
+    normals; `offset` is then that of the median depth.
     """
     points, camera = field.positions(), field.camera
     axis = np.asarray(camera.rotation, float)[:, 2]
@@ -173,7 +175,7 @@ def moved(field: HeightField, offset: float) -> Float[np.ndarray, "height width 
 
 
 def _sample(maps: Maps) -> Bool[np.ndarray, "height width"]:
-    """Some of the pixels that were fitted, of those that identify all if there are."""
+    """Evenly chosen pixels that were fitted, and identified if there are any such."""
     fitted = np.isfinite(maps.noise)
     usable = maps.identified if maps.identified.any() else fitted
     pixels = np.flatnonzero(usable)

@@ -1,6 +1,7 @@
 """Maps under other lights: diffuse light, highlight, attached and cast shadows.
 
-With photographs, also what maps leave of them, their cast shadows in it.
+With photographs, their interpolated residual images are added, which contain the cast
+shadows.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -34,13 +35,13 @@ def relit(
     film: Film,
     photographs: tuple[Sequence[Scene], AbstractStack] | None = None,
 ) -> Iterator[Float[np.ndarray, "height width 3"]]:
-    """A picture for one light after the other: see [`Maps`][]`.relight`.
+    """Yield a picture for each light: see [`Maps`][]`.relight`.
 
     **Arguments:**
 
     - `surface`: the maps' height.
-    - `photographs`: scenes and images. What is left of them has their shadows in it, so
-        that none are thrown by the height.
+    - `photographs`: scenes and images. Their residual images contain cast shadows, so
+        that no shadows of the height are rendered.
     """
     assert maps.camera is not None
     camera, inside = maps.camera, surface.mask
@@ -57,7 +58,7 @@ def relit(
     def show(
         light: AbstractLight, ambient: Any, share: np.ndarray | None = None
     ) -> np.ndarray:
-        """Linear light without an end; `share`: of the light that is kept off."""
+        """Linear light without clipping; `share`: fraction of the light in shadow."""
         scene = Scene(
             shape,
             camera,

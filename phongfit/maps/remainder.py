@@ -1,13 +1,13 @@
-"""What maps leave of their photographs: cast shadows, light that bounced, rough edges.
+"""Residual images of maps, interpolated over light direction by kriging.
 
-It is as true as a photograph is, and differs little between lamps that stand close
-together. So it can be shown under other lamps: interpolated by kriging, with
-exp(−angle / width) for how much lamps at an angle have in common. The width is the one
-that tells best each photograph's remainder from the others'.
+They contain cast shadows, interreflections and errors of the maps, and differ little
+between lamps at similar directions. The correlation of two lamps is
+exp(−angle / width), with the width that best predicts each photograph's residual image
+from the others.
 
 ??? cite "Source"
     Rasmussen and Williams, *Gaussian Processes for Machine Learning*, 2006, equations
-    2.25 and, for leaving one out without solving anew, 5.12.
+    2.25 and, for cross-validation from a single inverse, 5.12.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,22 +24,22 @@ from phongfit.maps.stacks import AbstractStack
 from phongfit.scene import Scene
 
 WIDTHS = np.geomspace(0.05, 5, 60)
-"""Angles that are tried, radians: from far below lamps' distance to a hemisphere."""
+"""Widths that are tried, radians: from below lamps' angles to over a hemisphere."""
 
 NUGGET = 1e-6
-"""Of what lamps have in common, kept apart: two may stand in one place."""
+"""Added to the diagonal of the correlation, since two lamps may have one position."""
 
 SAMPLE = 30_000
-"""Pixels, about, that the width is found from."""
+"""Approximate number of pixels from which the width is estimated."""
 
 
 class Remainder(NamedTuple):
-    """What is left of photographs, each for a lamp of strength 1.
+    """Residual images of photographs, scaled to lamps of strength 1.
 
-    - `middle`: from where lamps' directions and strengths are taken, world units.
+    - `middle`: point at which lamps' directions and strengths are taken, world units.
     - `directions`: unit vectors to the lamps.
     - `images`: linear light, of half precision.
-    - `width`: angle over which lamps have something in common, radians.
+    - `width`: angle of the correlation between lamps, radians.
     """
 
     middle: Float[np.ndarray, "3"]
@@ -48,7 +48,7 @@ class Remainder(NamedTuple):
     width: float
 
     def under(self, light: AbstractLight) -> Float[np.ndarray, "height width 3"]:
-        """The remainder under another lamp, linear light."""
+        """Interpolated residual image under another lamp, linear light."""
         direction, strength = _lamp("lights", light, self.middle)
         shared = _common(self.directions, direction[None], self.width)[:, 0]
         weights = np.linalg.solve(_among(self.directions, self.width), shared)
@@ -64,15 +64,16 @@ def find_remainder(
     stack: AbstractStack,
     middle: Float[np.ndarray, "3"],
 ) -> Remainder:
-    """What maps leave of photographs.
+    """Compute the residual images of maps and the width of their correlation.
 
-    A sample that is masked, or white, tells no more than that its light is not less.
+    A masked or white sample is a lower bound of the light, so its residual is at
+    least 0.
 
     **Arguments:**
 
-    - `show`: what the maps show of a light, and of ambient light: (H, W, 3).
+    - `show`: function from a light and ambient light to the maps' image, (H, W, 3).
     - `scenes`, `stack`: the photographs, one lamp each.
-    - `middle`: of the object.
+    - `middle`: middle of the object.
 
     **Raises:** `ValueError` that names the argument.
     """
@@ -96,7 +97,7 @@ def find_remainder(
         seen = np.ma.getdata(taken).reshape(shown.shape)
         hidden = np.ma.getmaskarray(taken).reshape(shown.shape) | (seen >= 1)
         left = np.where(hidden, np.maximum(seen - shown, 0), seen - shown)
-        # Where no lamp's light arrives there is nothing to tell its strength by.
+        # A channel without light is not scaled, to avoid a division by 0.
         left = left / np.where(strength > 0, strength, 1)
         images[k] = np.nan_to_num(left, posinf=0, neginf=0)
     return Remainder(middle, directions, images, _width(directions, images))
@@ -115,15 +116,15 @@ def _lamp(
 def _common(
     some: Float[np.ndarray, "m 3"], others: Float[np.ndarray, "n 3"], width: float
 ) -> Float[np.ndarray, "m n"]:
-    """How much lamps have in common, by the angles between them."""
-    # Better than a cosine where lamps are close.
+    """Correlation between lamps, from the angles between them."""
+    # The chord is more precise than a cosine for small angles.
     apart = np.linalg.norm(some[:, None] - others, axis=-1)
     angle = 2 * np.arcsin(np.minimum(apart / 2, 1))
     return np.exp(-angle / width)
 
 
 def _among(directions: Float[np.ndarray, "n 3"], width: float) -> np.ndarray:
-    """The same of the photographs' own lamps."""
+    """Correlation matrix of the photographs' lamps, with the nugget."""
     own = NUGGET * np.eye(len(directions))
     return _common(directions, directions, width) + own
 
@@ -131,7 +132,7 @@ def _among(directions: Float[np.ndarray, "n 3"], width: float) -> np.ndarray:
 def _width(
     directions: Float[np.ndarray, "lamps 3"], images: Float[np.ndarray, "lamps h w 3"]
 ) -> float:
-    """That tells each image best from the others: Rasmussen and Williams, 5.12."""
+    """The width of least cross-validation error: Rasmussen and Williams, 5.12."""
     flat = images.reshape(len(images), -1, 3)
     some = flat[:, :: max(flat.shape[1] // SAMPLE, 1)].reshape(len(images), -1)
     products = some.astype(float) @ some.astype(float).T

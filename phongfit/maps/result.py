@@ -1,4 +1,4 @@
-"""What a fit of every pixel gives back."""
+"""Results of fits of every pixel: maps, shared materials, and strengths of lights."""
 
 import dataclasses
 import json
@@ -36,16 +36,16 @@ BROAD, MANY = 12.0, 0.05
 fraction of pixels with such a lobe above which there is a warning."""
 
 BROADEST = 3.0
-"""Exponent below which a lobe that pixels share looks like matte light."""
+"""Exponent below which the lobe of a shared material looks like matte light."""
 
 
 MISPLACED, MISPLACED_DEGREES = 3.0, 2.0
-"""Errors of directions to near lamps that are reported: in median standard errors of
-the normals, or of so many degrees if these are less. A wrong model raises both."""
+"""Errors of directions to near lamps that give a warning: in median standard errors of
+the normals, or in degrees if that is less. A wrong model raises both."""
 
 
 class ParameterMaps(NamedTuple):
-    """A map of numbers for each parameter of a material."""
+    """One map for each parameter of a material."""
 
     ambient: Float[np.ndarray, "height width 3"]
     diffuse: Float[np.ndarray, "height width 3"]
@@ -55,7 +55,7 @@ class ParameterMaps(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class BasisMaterials:
-    """Materials that the pixels share, and which pixel is of which."""
+    """Materials that the pixels share, with their probabilities in each pixel."""
 
     specular: Float[np.ndarray, "materials 3"]
     shininess: Float[np.ndarray, " materials"]
@@ -68,24 +68,24 @@ class BasisMaterials:
 
     @property
     def shares(self) -> Float[np.ndarray, " materials"]:
-        """The share of the fitted pixels that each material has."""
+        """Fraction of the fitted pixels for each material."""
         inside = self.weights.sum(axis=-1) > 0
         return self.weights[inside].mean(axis=0)
 
     @property
     def weights_stderr(self) -> Float[np.ndarray, "height width materials"]:
-        r"""Standard deviations $\sqrt{w (1 - w)}$: 0 where a pixel tells for sure."""
+        r"""Standard deviations $\sqrt{w (1 - w)}$: 0 where a material is certain."""
         return np.sqrt(self.weights * (1 - self.weights))
 
     @property
     def runs_out(self) -> bool:
-        """Whether the most materials that are tried explain the pixels best."""
+        """True if BIC is lowest for the largest number of materials."""
         tried = len(self.criterion)
         return tried == MOST_MATERIALS and int(self.criterion.argmin()) == tried - 1
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Materials whose highlight is unseen, at a bound, or stands for matte."""
+        """Warnings of materials with invisible or broad highlights, or at bounds."""
         found = []
         for number, exponent in enumerate(self.shininess, 1):
             if not np.isfinite(self.stderr_shininess[number - 1]):
@@ -148,42 +148,42 @@ def _with_error(value: float, error: float) -> str:
 BasisMaterials.__init__.__doc__ = r"""**Arguments:**
 
 - `specular`: (K, 3), ρ_s of each material; `shininess`: (K,), its exponent. The first
-    is that of most pixels.
-- `stderr_specular`, `stderr_shininess`: their standard errors, infinite where a
-    material has no highlight that would show an exponent. They rest on how the sample's
-    pixels spread (the sandwich formula), not on a noise that is assumed.
+    material has the most pixels.
+- `stderr_specular`, `stderr_shininess`: their standard errors, infinite for a material
+    without a significant highlight. They are estimated from the scatter of the sample's
+    pixels (the sandwich formula), not from an assumed noise.
 - `at_bound`: (K,), whether the exponent lies at one of its bounds.
 - `weights`: (H, W, K), the probability that a pixel is of each; 0 outside.
 - `criterion`: BIC of 1, 2, … materials, as many as were tried:
-    $-2 \log L + p \log n$ with p numbers of the materials and n pixels. Less is
-    better, and by 10 plainly so.
-- `sample`: n, how many pixels the materials were found from.
+    $-2 \log L + p \log n$ with p numbers of the materials and n pixels. Lower is
+    better; a difference of 10 is strong evidence.
+- `sample`: n, number of pixels from which the materials were estimated.
 
 ??? cite "Source"
     Goldman et al., *Shape and spatially-varying BRDFs from photometric stereo*, IEEE
-    TPAMI 32(6), 2010, for materials that pixels share; Hertzmann and Seitz,
+    TPAMI 32(6), 2010, for shared materials; Hertzmann and Seitz,
     *Example-based photometric stereo*, IEEE TPAMI 27(8), 2005.
 """
 
 
 StrengthsName = Literal["given", "fit", "fit_per_channel", "auto"]
-"""How strong the light of images is: see [`fit_maps`][]."""
+"""Choices for the strengths of the images' light: see [`fit_maps`][]."""
 
 
 class Strengths(NamedTuple):
-    """Factors on the light of each image's scene, found from the images.
+    """Factors on the light of each image's scene, estimated from the images.
 
-    Their mean is 1, since brighter lamps on a darker surface give the same images.
+    Their mean is 1, since brighter lamps on a darker surface give equal images.
 
     - `values`: (images,), or (images, 3) with a number for each channel.
-    - `stderr`: their standard errors, which include that neighbouring pixels err alike.
+    - `stderr`: their standard errors, with correlated errors of neighbouring pixels.
     """
 
     values: Float[np.ndarray, "images *rgb"]
     stderr: Float[np.ndarray, "images *rgb"]
 
     def lit(self, scenes: Sequence[Scene]) -> tuple[Scene, ...]:
-        """The scenes with their lights, and their ambient light, times these."""
+        """The scenes with their lights and ambient light multiplied by the factors."""
         return tuple(
             dataclasses.replace(
                 scene,
@@ -203,7 +203,7 @@ class Strengths(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class Maps:
-    """A material per pixel with its uncertainty. Arrays are NumPy's."""
+    """Materials of all pixels with their uncertainty, as NumPy arrays."""
 
     ambient: Float[np.ndarray, "height width 3"]
     diffuse: Float[np.ndarray, "height width 3"]
@@ -236,9 +236,9 @@ class Maps:
     def identified(self) -> Bool[np.ndarray, "height width"]:
         """Pixels of which every unknown is identified: all errors are finite.
 
-        None that lies outside, and none that has not converged.
+        Pixels outside, or not converged, are not identified.
         """
-        # Channel by channel: to ask along an axis of three is slow.
+        # Channel by channel, since a reduction along an axis of three is slow.
         finite = [
             np.isfinite(channel)
             for name in self.unknowns
@@ -249,9 +249,9 @@ class Maps:
 
     @property
     def chi_squared(self) -> Float[np.ndarray, "height width"]:
-        """χ² a degree of freedom: near 1 where the model describes the pixel.
+        """χ² per degree of freedom: near 1 where the model describes the pixel.
 
-        Measured by the noise that was given, or else by that of the median pixel; NaN
+        The noise is the one that was given, or else that of the median pixel; χ² is NaN
         where no pixel was fitted.
         """
         level = self.noise_given
@@ -263,13 +263,14 @@ class Maps:
 
     @checked
     def height(self, *, distance: float | None = None) -> HeightField:
-        """The surface as a height for every pixel, from its normals.
+        """The surface as a height for every pixel.
 
-        That of the scenes' geometry, where it was given; else integrated, and each
-        piece moved to where the geometry knows it to be: see [`integrate_normals`][].
+        It is the depth of the scenes' geometry if normals and depth were given.
+        Otherwise the normals are integrated, and each piece is moved to the depth that
+        the geometry has for it: see [`integrate_normals`][].
 
-        **Arguments:** `distance`: from the camera, world units, of what is known of by
-            nothing else; default that of the world's origin.
+        **Arguments:** `distance`: distance from the camera, world units, of pieces
+            without a depth; default: that of the world's origin.
 
         **Raises:** `ValueError` that names what is missing.
         """
@@ -309,26 +310,26 @@ class Maps:
         scenes: Sequence[Scene] | None = None,
         images: Any = None,
     ) -> Float[np.ndarray, "lights height width 3"]:
-        """The object under other lights, one at a time.
+        """Render the object under other lights, one at a time.
 
-        Diffuse light and highlight, dark where a surface is turned away, and shadows
-        that it throws on itself by its height, antialiased. Numbers that a pixel does
-        not identify are those that describe its photographs best: where no lamp showed
-        a highlight, other lamps than those may show a wrong one.
+        Pictures have diffuse light, highlights, attached shadows, and antialiased cast
+        shadows of the height. Parameters that a pixel does not identify have the values
+        that fit its photographs best: where no lamp showed a highlight, other lamps may
+        show a wrong one.
 
         **Arguments:**
 
         - `lights`: distant or near, in the world's axes.
         - `ambient`: the ambient light, RGB or one number; default that of the first
             scene.
-        - `shadows`: whether surfaces throw them.
+        - `shadows`: whether to render cast shadows.
         - `surface`: the height, if it is known; default [`height`][Maps.height]`()`.
-        - `film`: default none: linear light without an end.
-        - `scenes`, `images`: the photographs that the maps were fitted to, as
-            [`fit_maps`][] takes them. What the maps leave of them is shown as well,
-            interpolated between their lamps: light that bounced, and their cast
-            shadows, in place of those of the height. Under a photograph's own lamp this
-            gives the photograph. They take 6 bytes a pixel of each.
+        - `film`: default: none, which gives linear light without clipping.
+        - `scenes`, `images`: the photographs that the maps were fitted to, as in
+            [`fit_maps`][]. Their residual images, interpolated between their lamps, are
+            then added: they contain interreflections and cast shadows, which replace
+            those of the height. Under the lamp of a photograph the result is that
+            photograph. They take 6 bytes per pixel of each photograph.
 
         **Returns:** a picture for each light; 0 outside.
 
@@ -353,7 +354,7 @@ class Maps:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Faults of the maps as a whole, with remedies."""
+        """Warnings about the maps as a whole."""
         found = []
         sought = np.isfinite(self.normals_stderr) & (self.normals_stderr > 0)
         if is_mirrored(self.normals, sought):
@@ -398,7 +399,7 @@ class Maps:
         return tuple(found)
 
     def _has_broad_highlight(self) -> Bool[np.ndarray, "height width"]:
-        """Where it may stand for the light of a matte surface, seen in part."""
+        """Pixels whose broad highlight may be the light of a matte surface."""
         strong = self.specular.mean(axis=-1) > 2 * self.diffuse.mean(axis=-1)
         return strong & (self.shininess.mean(axis=-1) < BROAD)
 
@@ -409,10 +410,9 @@ class Maps:
 
     @checked
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write all maps to an `.npz` file, in one piece; [`load_maps`][] reads it.
+        """Write all maps to an `.npz` file atomically; [`load_maps`][] reads it.
 
-        A camera or model of one's own that is not registered is left out, with a
-        warning.
+        A custom camera or model that is not registered is left out, with a warning.
 
         **Raises:** `ValueError` for another suffix, `OSError` that names `path`.
         """
@@ -449,7 +449,7 @@ class Maps:
             )
 
     def pixel_arrays(self) -> dict[str, np.ndarray]:
-        """What files have of each pixel, by the names that they give it."""
+        """All arrays over the pixels, by their names in files."""
         arrays: dict[str, Any] = {name: getattr(self, name) for name in MAP_PARAMETERS}
         arrays |= {
             f"stderr_{name}": getattr(self.stderr, name) for name in MAP_PARAMETERS
@@ -460,7 +460,7 @@ class Maps:
         return arrays
 
     def counts(self) -> dict[str, int]:
-        """How many pixels were fitted, are identified, and have each flag."""
+        """Numbers of pixels that were fitted, are identified, and have each flag."""
         inside = ~self.flagged(Flag.OUTSIDE)
         found = {"fitted": int(inside.sum()), "identified": int(self.identified.sum())}
         for flag in Flag:
@@ -486,13 +486,13 @@ def view_of(
     model: AbstractSpecular | None,
     ambient: Sequence[float],
 ) -> dict[str, Any]:
-    """Camera, specular model and ambient light as files have them."""
+    """Camera, specular model and ambient light in the form of files."""
     view: dict[str, Any] = {"ambient_light": list(ambient)}
     for name, part in (("camera", camera), ("specular_model", model)):
         try:
             view[name] = None if part is None else describe(part)
         except ValueError as error:
-            # Hours of fitting are not lost for it.
+            # Only a warning, so that an unregistered class does not lose the fit.
             warn("unregistered", f"{name}: is left out: {error}", stacklevel=4)
     return view
 
@@ -500,7 +500,7 @@ def view_of(
 def counted(
     size: Sequence[int], unknowns: Sequence[str], counts: Mapping[str, int]
 ) -> list[str]:
-    """Maps in a few lines, by the counts of their pixels."""
+    """Lines that summarise maps by the counts of their pixels."""
     lines = [
         f"phongfit: maps of {size[0]} × {size[1]} pixels, {counts['fitted']:,} fitted, "
         f"{counts['identified']:,} identified in all of {', '.join(unknowns)}"
@@ -516,52 +516,52 @@ Maps.__init__.__doc__ = """**Arguments:**
 
 - `ambient`, `diffuse`, `specular`: (H, W, 3); `shininess`: (H, W, 1), or (H, W, 3) if
     each channel has its own. 0 outside; finite everywhere.
-- `stderr`: the same four: infinite for what is not identified, 0 for what was known.
-    A bound takes nothing from them: the truth may lie inside of it. Where the noise was
-    estimated (`noise_given` is `None`), it is known from a pixel's own residuals alone,
-    and they are wider by Student's t over 1.96, for as many degrees of freedom as the
-    pixel has samples beyond its unknowns: ± 1.96 errors are an interval of 95 % under
-    any number of lamps.
-- `noise`: (H, W), root mean square of a pixel's residuals a degree of freedom, in
-    linear light; NaN outside. Where `noise_given` varies, that of the pixel times the
-    root of χ².
-- `samples`: (H, W), how many were used.
-- `flags`: (H, W), bits of [`Flag`][]: why a pixel is not identified, or only with care.
-- `unknowns`: names of the parameters that were looked for.
-- `noise_given`: standard deviation of a sample that errors rest on (where there is no
-    `MISFIT`), or `None` if it was estimated from each pixel's residuals. (H, W) if it
-    varies: the root mean square of a pixel's.
+- `stderr`: standard errors of these four: infinite if not identified, 0 if known.
+    Bounds do not reduce them, since the true value may be inside a bound. If the noise
+    was estimated (`noise_given` is `None`) from each pixel's residuals, they are wider
+    by Student's t over 1.96, with the number of samples minus the number of unknowns as
+    degrees of freedom: ± 1.96 errors are an interval of 95 % under any number of lamps.
+- `noise`: (H, W), root mean square of a pixel's residuals per degree of freedom, in
+    linear light; NaN outside. If `noise_given` varies, it is the pixel's noise times
+    the root of χ².
+- `samples`: (H, W), number of samples in use.
+- `flags`: (H, W), bits of [`Flag`][]: reasons why a pixel is not identified or needs
+    care.
+- `unknowns`: names of the parameters that were fitted.
+- `noise_given`: standard deviation of a sample from which errors are computed (except
+    with `MISFIT`), or `None` if it was estimated from each pixel's residuals. (H, W) if
+    it varies: the root mean square over a pixel's samples.
 - `normals`: (H, W, 3), unit normals in the camera's axes: x right, y up, z towards the
     camera; 0 where no surface is seen.
-- `normals_stderr`: (H, W), their standard errors in degrees, root mean square over all
-    ways to turn a normal; 0 where they were given, inf where not identified.
-- `depth`: (H, W), where the scenes' geometry knows it: distance along the camera's
-    axis, world units; NaN elsewhere.
+- `normals_stderr`: (H, W), their standard errors, the root mean square angle in
+    degrees; 0 where they were given, inf where not identified.
+- `depth`: (H, W), distance along the camera's axis from the scenes' geometry, world
+    units; NaN where that has none.
 - `camera`, `specular_model`: those of the scenes; `None` in files of older versions.
 - `ambient_light`: I_a of the first scene, RGB.
-- `materials`: those that the pixels share, if they do: see [`BasisMaterials`][].
-- `misplacement`: with near lamps and normals that were sought, by how much directions
-    to the lamps are off, since pixels were taken to lie elsewhere than on the surface
-    of the normals that were found: root mean square, degrees.
-- `strength_error`: where the strengths of the light are given and the images determine
-    others: the largest deviation of their ratio from its mean; 0 elsewhere.
+- `materials`: shared materials, if there are any: see [`BasisMaterials`][].
+- `misplacement`: with near lamps and fitted normals, the root mean square error of the
+    directions to the lamps, degrees: the pixels' assumed positions differ from the
+    surface of the fitted normals.
+- `strength_error`: if the images determine other strengths of the light than the given
+    ones: the largest deviation of their ratio from its mean; else 0.
 - `matte`: whether `materials="auto"` found no highlight: then specular and shininess
     are not among `unknowns`.
-- `strengths`: of each image's light, where they were sought: see [`Strengths`][].
+- `strengths`: fitted strengths of each image's light, or `None`: see [`Strengths`][].
 """
 
 FAULTS = ("misplacement", "strength_error")
-"""Sizes of faults of the maps as a whole, which warnings name."""
+"""Fields with the sizes of faults of the maps as a whole, for warnings."""
 
 PLAIN = ("noise", "samples", "flags", "normals", "normals_stderr", "depth")
 
 
 MAPS_VERSION = 2
-"""Of `maps.npz`. Version 1 does not state it, and may have no normals."""
+"""Version of `maps.npz`. Files of version 1 lack the number, and may lack normals."""
 
 
 class ViewRecord(AbstractRecord):
-    """From where maps were seen, and by which model."""
+    """Camera, specular model and ambient light of maps in a file."""
 
     camera: CameraRecord | None = None
     specular_model: SpecularRecord | None = None
@@ -570,7 +570,7 @@ class ViewRecord(AbstractRecord):
 
 @checked
 def load_maps(path: str | os.PathLike[str]) -> Maps:
-    """Maps from a file of [`Maps.save`][].
+    """Read maps from a file of [`Maps.save`][].
 
     **Raises:** `ValueError` that names the file: it is missing, broken, or of another
     kind.
@@ -581,7 +581,7 @@ def load_maps(path: str | os.PathLike[str]) -> Maps:
     except MemoryError:
         raise
     except Exception as error:
-        # A broken file makes this reader raise nearly anything.
+        # The reader raises exceptions of many types for broken files.
         what = "has no array " if isinstance(error, KeyError) else ""
         raise ValueError(
             f"{os.fspath(path)}: cannot be read: {what}{reason(error)}"
@@ -589,11 +589,11 @@ def load_maps(path: str | os.PathLike[str]) -> Maps:
 
 
 def checked_maps(arrays: dict[str, np.ndarray]) -> Maps:
-    """The maps of a file's arrays, which have the shapes and types of maps.
+    """Make maps of a file's arrays, after checks of shapes, types and values.
 
     **Raises:** `KeyError` for one that is missing, `ValueError` for a wrong one.
     """
-    # The first version did not say so.
+    # Files of version 1 do not have this array.
     version = arrays.get("version", np.array(1))
     if version.shape != () or version not in range(1, MAPS_VERSION + 1):
         got = shown(version.tolist())
@@ -623,7 +623,7 @@ def checked_maps(arrays: dict[str, np.ndarray]) -> Maps:
     for name in MAP_PARAMETERS:
         if not np.all(np.isfinite(arrays[name]) & (arrays[name] >= 0)):
             raise ValueError(f"{name}: expected finite numbers ≥ 0")
-        # Not below 0, and no NaN.
+        # The comparison is false for NaN as well.
         if not np.all(arrays[f"stderr_{name}"] >= 0):
             raise ValueError(f"stderr_{name}: expected numbers ≥ 0")
     given: Any = arrays["noise_given"]
@@ -634,7 +634,7 @@ def checked_maps(arrays: dict[str, np.ndarray]) -> Maps:
         )
     if given.ndim == 0:
         given = None if np.isnan(given) else float(given)
-    # Files before version 0.2 do not state them.
+    # Files of phongfit before 0.2 do not have these arrays.
     faults = {name: arrays.get(name, np.array(0.0)) for name in FAULTS}
     for name, size_of_fault in faults.items():
         if size_of_fault.shape != () or not size_of_fault >= 0:
@@ -659,9 +659,9 @@ def checked_maps(arrays: dict[str, np.ndarray]) -> Maps:
 
 
 def _checked_strengths(arrays: dict[str, np.ndarray]) -> Strengths | None:
-    """Strengths of the photographs' light, if a file has them.
+    """Check and return strengths of the images' light, if a file has them.
 
-    **Raises:** as [`checked_maps`][] does.
+    **Raises:** as [`checked_maps`][].
     """
     if "strengths" not in arrays:
         return None
@@ -679,9 +679,9 @@ def _checked_strengths(arrays: dict[str, np.ndarray]) -> Strengths | None:
 def _checked_materials(
     arrays: dict[str, np.ndarray], size: tuple[int, ...]
 ) -> BasisMaterials | None:
-    """The materials that pixels share, if a file has them.
+    """Check and return shared materials, if a file has them.
 
-    **Raises:** as [`checked_maps`][] does.
+    **Raises:** as [`checked_maps`][].
     """
     if "materials_weights" not in arrays:
         return None
@@ -689,7 +689,7 @@ def _checked_materials(
     if not 1 <= count[0] <= MOST_MATERIALS:
         raise ValueError(f"materials_weights: expected 1 to {MOST_MATERIALS} materials")
     tried = arrays["materials_criterion"].shape[:1]
-    # Files before version 0.2 do not state it.
+    # Files of phongfit before 0.2 do not have this array.
     at_bound = arrays.get("materials_at_bound", np.zeros(count, bool))
     if at_bound.shape != count or at_bound.dtype != bool:
         raise ValueError(f"materials_at_bound: expected {count[0]} truth values")
@@ -708,7 +708,7 @@ def _checked_materials(
                 f"materials_{name}: expected floats of shape {wanted}, got "
                 f"{array.dtype} of shape {array.shape}"
             )
-        # Errors may be infinite; nothing is NaN, and all but BIC is no less than 0.
+        # Errors may be infinite. NaN is an error, and so is < 0 for all but BIC.
         if not np.all(array >= (-np.inf if name == "criterion" else 0)):
             raise ValueError(f"materials_{name}: expected numbers ≥ 0")
     if not np.all(fields["weights"] <= 1 + 1e-3):
@@ -722,9 +722,9 @@ def _checked_materials(
 def _checked_shape(
     arrays: dict[str, np.ndarray], size: tuple[int, ...]
 ) -> dict[str, Any]:
-    """Normals, depth and the view; files of version 1 may hold none of them.
+    """Check and return normals, depth and view, which files of version 1 may lack.
 
-    **Raises:** as [`checked_maps`][] does.
+    **Raises:** as [`checked_maps`][].
     """
     if "normals" not in arrays:
         return {

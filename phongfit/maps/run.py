@@ -1,4 +1,4 @@
-"""`fit_maps`: stacks of images under many lights in, maps of materials out."""
+"""`fit_maps`: maps of materials from stacks of images under many lights."""
 
 import concurrent.futures
 import dataclasses
@@ -30,7 +30,7 @@ from phongfit.maps.normals.block import fit_normals
 from phongfit.maps.passes import fit_in_passes, usual_passes
 from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.pixel.samples import Tile
-from phongfit.maps.pixel.settings import MAP_PARAMETERS
+from phongfit.maps.pixel.settings import MAP_PARAMETERS, MapSettings
 from phongfit.maps.pixel.tile import BLOCK, compiled, fit_tile
 from phongfit.maps.result import BasisMaterials, Maps, ParameterMaps, StrengthsName
 from phongfit.maps.stacks import AbstractStack, as_index, as_stack, identify_stack
@@ -41,14 +41,16 @@ from phongfit.rendering.film import Film
 from phongfit.scene import Scene
 
 TILE_BYTES = 2**26
-"""How much light a tile holds at most, unless told otherwise: a few fit anywhere.
+"""Maximum bytes of light in a tile by default: a few tiles fit into any memory.
 
-On a CPU it is no more than its cores work on at a time, since memory that is asked for
-anew for every tile takes longer than what is done with it."""
+On a CPU a tile holds at most what the cores work on at a time, since allocating memory
+for larger tiles takes longer than the computation."""
 
 PART_BYTES = 2**24
-"""How much of it is worked on at a time on a CPU: little enough to stay near its cores,
-and enough that blocks of a few unsettled pixels hardly show."""
+"""Maximum bytes of light that a CPU core works on at a time.
+
+They are few enough for its caches, and enough that the blocks of a second pass, which
+may be nearly empty, take a small fraction of the time."""
 
 
 @checked
@@ -75,13 +77,13 @@ def fit_maps(
     output: str | os.PathLike[str] | None = None,
     progress: bool = True,
 ) -> Maps:
-    r"""A material for every pixel of images under many lights, with standard errors.
+    r"""Fit a material to every pixel of images under many lights, with standard errors.
 
-    Photometric stereo's data, with the normals known, or sought with the material.
-    Every pixel is fitted from its own samples: the best reflectances for given f are a
-    small problem in a box, and $\log f$ is found by a scan and Newton's steps; with
-    unknown normals several starts are gone through. So no starting guess is needed.
-    Tiles of pixels pass through memory one after another.
+    The data are those of photometric stereo. Normals are known, or fitted with the
+    material. Every pixel is fitted from its own samples: the best reflectances for
+    given f solve a small problem in a box, and $\log f$ is found by a scan and Newton
+    steps. Unknown normals are searched from several starts. So no initial estimate is
+    needed. Tiles of pixels pass through memory one after another.
 
     **Arguments:**
 
@@ -92,65 +94,67 @@ def fit_maps(
         [`PhotographStack`][], which reads files, [`DatasetStack`][] or [`ZarrStack`][].
         From zarr to zarr, and on a cluster, maps need not fit into memory either: see
         [`fit_stored_maps`][].
-    - `unknowns`: parameters to be found. Where no ambient light falls, `ambient` is
-        not. A specular model's own numbers are held.
-    - `per_channel`: parameters with a number for each of red, green and blue. The
-        reflectances that are unknown must be among them, since each channel of a pixel
-        is fitted by itself; `"shininess"` may be, and then each channel has its own
-        exponent.
-    - `known`: values of the parameters that are not unknown; default no reflectance and
-        an exponent of 32.
+    - `unknowns`: parameters to be fitted. Without ambient light in the scenes,
+        `ambient` is not fitted. Other parameters of a specular model are held.
+    - `per_channel`: parameters with a number for each of red, green and blue. They must
+        include the unknown reflectances, since each channel of a pixel is fitted
+        separately; with `"shininess"` each channel has its own exponent.
+    - `known`: values of the parameters that are not unknown; default: reflectances of 0
+        and an exponent of 32.
     - `bounds`: name → (low, high), as in [`fit`][].
     - `mask`: (H, W) or (H, W, 3), true where samples may be used; or one for each
         image.
     - `noise`: standard deviation of a sample in linear light: a number, (H, W) or
-        (H, W, 3), or one of these for each image; samples then count by how little
-        noise they have. By default it is estimated from each pixel's residuals.
-    - `film`: `Film()`: samples of 1 and above are saturated, and left out.
-        `Film(clamp=False)`: none is. Default: only those of exactly 1, since one beyond
-        shows that nothing was cut off. Of several films only their common clamp
-        matters. What JPEG files round counts as noise, as each pixel's residuals show
-        it: give no `noise` with them. What they take from all images alike, as at the
-        rim of a highlight, is not given back as [`fit`][] does.
-    - `loss`: as in [`fit`][]; a robust one wants images with outliers. Default:
-        `"linear"`, and `"cauchy"` where normals are sought, since shadows and light
-        that bounced are outliers.
-    - `normals`: `"given"` by the scenes' surface. `"fit"`: sought for each pixel, with
-        errors in degrees; the surface then only tells where pixels are, for near lamps
-        and a perspective camera, and which see it: see `passes`. At least 3 images for
-        a matte surface, 5 for one with a highlight, whose lobe must be a power of one
-        cosine, as Phong's and Blinn's is.
-        `ambient` asks for ambient light in the scenes; if `specular` is not in
-        `per_channel`, the channels share one ρ_s.
-    - `materials`: how many materials the pixels share, or `"auto"` to find out (up to
-        6; none where matte light alone explains the pixels best: see
-        [`Maps`][]`.matte`); `None` for a material of each pixel's own. A pixel's ρ_d
-        stays its own; ρ_s and f are those of the material that it is most likely of.
-        They are found from a sample of the pixels, whose number is chosen by Schwarz's
-        criterion (BIC), and their errors go into those of the pixels: see
-        [`BasisMaterials`][]. A dozen lamps hardly tell ρ_s and f of one pixel; they do
-        tell which it is of a few. With `normals="fit"`.
+        (H, W, 3), or one of these for each image; samples are then weighted by its
+        inverse. By default it is estimated from each pixel's residuals.
+    - `film`: `Film()`: samples of 1 and above are saturated and left out.
+        `Film(clamp=False)`: no sample is left out. Default: only samples of exactly 1
+        are, since samples above 1 show that the images are not clipped. Of several
+        films only the clamp is used, which must be common. The rounding of JPEG files
+        is part of the noise, which is estimated from each pixel's residuals: give no
+        `noise` with such files. Light that compression removes from all images alike,
+        as at the rim of a highlight, is not restored, unlike in [`fit`][].
+    - `loss`: as in [`fit`][]; a robust loss is for images with outliers. Default:
+        `"linear"`; `"cauchy"` if normals are fitted, since shadows and
+        interreflections are outliers.
+    - `normals`: `"given"` by the scenes' surface. `"fit"`: fitted for each pixel, with
+        errors in degrees; the surface then only determines which pixels see it, and the
+        positions of pixels for near lamps and a perspective camera: see `passes`. At
+        least 3 images for a matte surface, 5 for one with a highlight, whose lobe must
+        be a power of one cosine, as for Phong and Blinn-Phong.
+        An unknown `ambient` requires ambient light in the scenes; if `specular` is not
+        in `per_channel`, the channels share one ρ_s.
+    - `materials`: number of materials that the pixels share, or `"auto"` to choose it
+        (up to 6; none if matte light alone explains the pixels best: see
+        [`Maps`][]`.matte`); `None`: each pixel has a separate material. With shared
+        materials, ρ_d is fitted in each pixel; ρ_s and f are those of its most probable
+        material. The materials are estimated from a sample of the pixels, and their
+        number by Schwarz's criterion (BIC); their errors are part of the pixels'
+        errors: see [`BasisMaterials`][]. A dozen lamps hardly determine ρ_s and f of
+        one pixel; they do determine which of a few materials it has. Only with
+        `normals="fit"`.
     - `passes`: with `normals="fit"`, how often pixels are fitted; default 3 with near
-        lamps, 2 with distant ones. Each pass after the first takes pixels to lie on the
-        surface that the last one's normals make, moved to where near lamps leave the
+        lamps, 2 with distant ones. Each pass after the first assumes that pixels lie on
+        the surface of the last normals, moved to the depth at which near lamps give the
         least noise, and leaves out samples in its shadow. `output` keeps the tiles of
         all passes.
-    - `strengths`: with `normals="fit"`, how strong the light of each image is:
-        `"given"` by the scenes' lights; `"fit"`: a number for each image that its
-        lights are multiplied by; `"fit_per_channel"`: three. They are found from some
-        2000 pixels before the maps, and only their ratios can be: their mean is 1. Then
-        ρ_d has no upper bound, unless `bounds` has one. `"auto"`: `"fit"`, unless lamps
-        that are 2° off would explain that they differ. See [`Maps`][]`.strengths`.
+    - `strengths`: with `normals="fit"`, strengths of the light of each image: `"given"`
+        by the scenes' lights; `"fit"`: one factor on the lights of each image;
+        `"fit_per_channel"`: three factors. They are estimated from about 2000 pixels
+        before the maps. Only their ratios are identified: their mean is 1. ρ_d then has
+        no upper bound, unless `bounds` has one. `"auto"`: `"fit"`, unless errors of 2°
+        in the lamps' directions would explain the differences. See
+        [`Maps`][]`.strengths`.
     - `start`: a fit of one material, or a material, whose exponent each pixel starts
         from, instead of the scan.
-    - `min_cosine`: samples that no light reaches at a cosine above this are left out,
-        as shadowed; −1 leaves out none.
-    - `tile_pixels`: pixels of a tile; default what 16 MB of light a core hold, 64 MB at
-        most.
-    - `devices`: on which tiles are spread; default all local ones.
-    - `output`: a folder that keeps finished tiles. A run that was interrupted goes on
-        from there, to the same bits. It must be empty, or of the same job.
-    - `progress`: show a bar on a terminal, elsewhere a line now and then.
+    - `min_cosine`: samples that no light reaches at a cosine above this are left out as
+        shadowed; −1 keeps all.
+    - `tile_pixels`: pixels of a tile; default: as many as hold 16 MB of light per core,
+        at most 64 MB.
+    - `devices`: devices that work on the tiles; default: all local ones.
+    - `output`: a folder that keeps finished tiles. An interrupted run continues from
+        there, with bit-identical results. It must be empty, or of the same job.
+    - `progress`: show a bar on a terminal, or occasional lines elsewhere.
 
     **Returns:** [`Maps`][]. A pixel that does not identify an unknown has infinite
     errors and flags.
@@ -193,8 +197,8 @@ def fit_maps(
         spread = {"tile_pixels": tile_pixels, "devices": devices}
         once = functools.partial(_fit_once, **asked, **spread)
         found, error = None, 0.0
-        job = make_job(scenes, stack, **asked)
         if strengths != "given":
+            job = make_job(scenes, stack, **asked)
             coloured = strengths == "fit_per_channel"
             found = find_strengths(once, job, per_channel=coloured)
             if strengths == "auto" and may_be_equal(found):
@@ -203,7 +207,7 @@ def fit_maps(
                 scenes = found.lit(scenes)
         maps, placed = fit_in_passes(once, scenes, stack, passes, output, progress)
         if strengths == "given":
-            error = strength_error(maps, placed, job)
+            error = strength_error(maps, placed, make_job(scenes, stack, **asked))
         return dataclasses.replace(maps, strengths=found, strength_error=error)
     return _fit_once(
         scenes,
@@ -226,7 +230,7 @@ def _fit_once(
     progress: bool,
     **asked: Any,
 ) -> Maps:
-    """One pass of [`fit_maps`][], whose arguments these are."""
+    """Fit one pass; the arguments are those of [`fit_maps`][]."""
     job = make_job(scenes, images, **asked)
     if not len(job.pixels):
         raise ValueError("mask: it leaves no pixel that sees the surface")
@@ -253,14 +257,14 @@ def fit_job(
     store: TileStore | None = None,
     progress: bool = False,
 ) -> Maps:
-    """The maps of a job, tile by tile.
+    """Fit the maps of a job, tile by tile.
 
     **Arguments:**
 
-    - `size`, `part`: pixels of a tile, and of what is worked on at a time: the program
-        is compiled for that many.
-    - `threads`: how many parts are worked on side by side.
-    - `store`: where finished tiles are kept.
+    - `size`: pixels of a tile; `part`: pixels of the parts in which it is fitted, for
+        which the program is compiled.
+    - `threads`: number of parts that are fitted in parallel.
+    - `store`: the store of finished tiles.
     """
     settings, outside, pixels = job.settings, job.outside, job.pixels
     tiles = [pixels[k : k + size] for k in range(0, len(pixels), size)]
@@ -286,6 +290,7 @@ def fit_job(
             return jax.tree.map(np.asarray, run(part.padded(), among))
 
         maps = _Canvas(job.geometry.mask.shape, shared)
+        maps.paint(pixels[:0], _no_pixels(settings, outside.noise.dtype))
         for k, tile in bar(ahead(read, len(tiles)), len(tiles), progress):
             if isinstance(tile, dict):
                 arrays = tile
@@ -303,7 +308,7 @@ def fit_job(
 
 
 def _without_highlights(job: Job) -> Job:
-    """The job of fitting matte light alone."""
+    """The job without highlights: only matte light is fitted."""
     dark = jnp.zeros_like(job.outside.known.specular)
     known = job.outside.known._replace(specular=dark)
     return dataclasses.replace(
@@ -317,7 +322,10 @@ def _materials(
     store: TileStore | None,
     place: int,
 ) -> Materials:
-    """The materials that pixels share; kept after the last tile."""
+    """The shared materials, which the store keeps after the last tile.
+
+    **Arguments:** `place`: their number in the store.
+    """
     done = None if store is None else store.load(place)
     if done is None:
         sample = choose_sample(job.pixels, len(job.scenes))
@@ -346,7 +354,7 @@ def as_mesh(devices: Sequence[Any] | None) -> Mesh:
 def tile_size(
     pixels: int, images: int, wanted: int | None, mesh: Mesh
 ) -> tuple[int, int]:
-    """Pixels of a tile and of its parts, multiples of what devices take at a time."""
+    """Pixels of a tile and of its parts, as multiples of the devices' blocks."""
     unit = BLOCK * mesh.size
     beside = side_by_side(mesh)
     most = max(PART_BYTES // (images * 12 * unit), 1)
@@ -354,14 +362,14 @@ def tile_size(
         wanted = TILE_BYTES // (images * 12)
         if _on_cpu(mesh):
             wanted = min(wanted, beside * most * unit)
-        # As many in each tile: the last one takes as long as the others.
+        # Tiles of equal size: a partly filled last tile takes as long as a full one.
         wanted = -(-pixels // max(round(pixels / max(wanted, 1)), 1))
     elif not isinstance(wanted, int) or wanted < 1:
         raise ValueError(f"tile_pixels: expected a whole number ≥ 1, got {wanted!r}")
     units = -(-min(wanted, pixels) // unit)
     parts = 1
     if _on_cpu(mesh):
-        # Alike, too, and none of the cores without one.
+        # Parts of equal size, in a multiple of the number of cores, so that none idles.
         parts = beside * max(round(units / (beside * most)), 1)
         parts = min(parts, units)
     part = -(-units // parts) * unit
@@ -369,7 +377,7 @@ def tile_size(
 
 
 def side_by_side(mesh: Mesh) -> int:
-    """How many parts are worked on side by side."""
+    """Number of parts that are fitted in parallel."""
     return os.cpu_count() or 1 if _on_cpu(mesh) and mesh.size == 1 else 1
 
 
@@ -378,7 +386,7 @@ def _on_cpu(mesh: Mesh) -> bool:
 
 
 def versions() -> str:
-    """Of the programs that maps rest on."""
+    """Versions of the packages that compute maps."""
     names = ("phongfit", "jax", "jaxlib")
     return " ".join(f"{name} {importlib.metadata.version(name)}" for name in names)
 
@@ -386,7 +394,7 @@ def versions() -> str:
 def bar(
     items: Iterator[tuple[int, Any]], total: int, wanted: bool, what: str = "tiles"
 ) -> Iterator[tuple[int, Any]]:
-    """The same, with a progress bar; in a log, a line now and then."""
+    """Yield the items and show a progress bar, or occasional lines in a log."""
     console = Console(stderr=True)
     if not wanted:
         yield from items
@@ -402,7 +410,7 @@ def bar(
 def _lines(
     items: Iterator[tuple[int, Any]], total: int, what: str, every: float = 30.0
 ) -> Iterator[tuple[int, Any]]:
-    """The same; every so many seconds a line says how far they are."""
+    """Yield the items and print a line of progress every `every` seconds."""
     start = shown = time.monotonic()
     for k, item in items:
         now = time.monotonic()
@@ -416,30 +424,46 @@ def _lines(
 _FITS = {"given": fit_tile, "sought": fit_normals, "shared": fit_shared}
 
 _EMPTY = {"noise": np.nan, "normals_stderr": np.inf, "flags": int(Flag.OUTSIDE)}
-"""Values of pixels that are not fitted; errors are infinite, and all else is 0."""
+"""Values of pixels that are not fitted; errors are infinite, other values 0."""
+
+
+def _no_pixels(settings: MapSettings, dtype: Any) -> dict[str, np.ndarray]:
+    """The arrays of a tile without pixels."""
+    widths = dict.fromkeys(MAP_PARAMETERS, 3)
+    widths["shininess"] = 1 if settings.shared else 3
+    arrays: dict[str, Any] = {
+        name: np.zeros((0, width), dtype) for name, width in widths.items()
+    }
+    arrays |= {f"stderr_{name}": values for name, values in arrays.items()}
+    arrays["noise"] = np.zeros(0, dtype)
+    arrays["samples"], arrays["flags"] = np.zeros(0, np.int32), np.zeros(0, np.uint16)
+    if settings.normals == "fit":
+        arrays["normals"] = np.zeros((0, 3), dtype)
+        arrays["normals_stderr"] = np.zeros(0, dtype)
+    return arrays
 
 
 class _Canvas:
-    """The maps while they are painted, tile by tile."""
+    """Maps that are assembled from tiles."""
 
     def __init__(self, size: tuple[int, int], shared: Materials | None):
         self._size, self._shared = size, shared
         self._arrays: dict[str, np.ndarray] = {}
 
     def paint(self, pixels: np.ndarray, tile: dict[str, np.ndarray]) -> None:
-        """Put the arrays of a tile where its pixels are."""
+        """Write the arrays of a tile at its pixels."""
         place = as_index(pixels)
         for name, values in tile.items():
             if name not in self._arrays:
                 empty = np.inf if name.startswith("stderr_") else _EMPTY.get(name, 0)
-                # Flags fit into 16 bits, as files have them.
+                # Flags have 16 bits in files.
                 dtype = np.uint16 if name == "flags" else values.dtype
                 shape = math.prod(self._size), *values.shape[1:]
                 self._arrays[name] = np.full(shape, empty, dtype)
             self._arrays[name][place] = values
 
     def finished(self, job: Job) -> Maps:
-        """All maps, once every tile is painted."""
+        """The maps, after all tiles were painted."""
         settings, scene = job.settings, job.scenes[0]
         maps: dict[str, Any] = {
             name: array.reshape(*self._size, *array.shape[1:])
@@ -475,7 +499,7 @@ class _Canvas:
     def _basis(
         self, log_bounds: tuple[float, float], weights: np.ndarray | None
     ) -> BasisMaterials | None:
-        """The materials, if pixels share them.
+        """The shared materials, or `None`.
 
         **Arguments:** `log_bounds`: of log f; `weights`: of the materials, per pixel.
         """

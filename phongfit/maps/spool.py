@@ -1,8 +1,8 @@
-"""Photographs that are decoded once, and then read a few pixels at a time.
+"""Temporary file of decoded photographs, from which a few pixels at a time are read.
 
-A stack of them is larger than memory, and a tile wants a few pixels of each. So they
-stand in a temporary file, without the loss of a bit, and as small as the files were
-before they were compressed: as their numbers, where a table tells the light of each.
+A stack of photographs may be larger than memory, and a tile needs a few pixels of each.
+The file is lossless, and has the size of the uncompressed images: it holds their whole
+numbers, with a table of the light of each number.
 """
 
 import contextlib
@@ -21,10 +21,10 @@ from phongfit.files.coded import Coded
 
 
 class _Image(NamedTuple):
-    """Where an image stands in the file, and what its numbers are.
+    """Position, type and table of an image in the file.
 
-    - `table`: which of the spool's; `None` for light itself.
-    - `mask`: where the bits of its mask stand; `None` if all samples may be used.
+    - `table`: index of the spool's table; `None` if the numbers are light.
+    - `mask`: offset of the bits of its mask; `None` if all samples may be used.
     - `channels`: of the mask.
     """
 
@@ -36,7 +36,7 @@ class _Image(NamedTuple):
 
 
 class Spool:
-    """Images of one size in a temporary file, which goes with the process."""
+    """Images of one size in a temporary file, which is deleted with the process."""
 
     def __init__(self, dtype: Any):
         """**Arguments:** `dtype`: of linear light."""
@@ -52,9 +52,9 @@ class Spool:
     def add(
         self, image: Coded, used: Bool[np.ndarray, "height width *channel"]
     ) -> None:
-        """One image more, (height, width, 3).
+        """Append an image, (height, width, 3).
 
-        **Raises:** `OSError` that says where there should be room.
+        **Raises:** `OSError` that names the folder without room.
         """
         numbers, table = image
         if table is None:
@@ -81,7 +81,7 @@ class Spool:
             self._file.write(array.data)
             self._file.flush()
         except OSError as error:
-            # What could not be written would be written again before it is closed.
+            # Closing flushes the buffer again, which fails again.
             with contextlib.suppress(OSError):
                 self._file.close()
             raise OSError(
@@ -92,7 +92,7 @@ class Spool:
         self._end = size
 
     def _number(self, table: np.ndarray) -> int:
-        """Of a table; one that is known already is kept once."""
+        """Index of a table, which is added if it is new."""
         for number, known in enumerate(self._tables):
             if np.array_equal(known, table):
                 return number
@@ -101,18 +101,18 @@ class Spool:
 
     @property
     def itemsize(self) -> int:
-        """Bytes of a sample as it is taken."""
+        """Bytes of a sample in the arrays that `take` returns."""
         one = self._images[0] if self._images else None
         return one.dtype.itemsize if one and self._alike() else self._dtype.itemsize
 
     def _alike(self) -> bool:
-        """Whether images are taken as numbers: all of one kind, and of small tables."""
+        """True if samples are read as stored: of one type, with one or small tables."""
         kinds = {(image.dtype, image.table is None) for image in self._images}
         bytes_alone = all(image.dtype.itemsize == 1 for image in self._images)
         return len(kinds) == 1 and (bytes_alone or len(self._tables) == 1)
 
     def take(self, pixels: Int[np.ndarray, " n"], order: Sequence[int]) -> Coded:
-        """Some pixels: see [`AbstractStack`][]."""
+        """Read some pixels: see [`AbstractStack`][]."""
         alike = self._alike()
         images = [self._images[number] for number in order]
         dtype = images[0].dtype if alike and images else self._dtype
@@ -149,13 +149,13 @@ class Spool:
         return Coded(taken, tables[0] if len(self._tables) == 1 else np.stack(tables))
 
     def _read(self, offset: int, numbers: np.ndarray) -> None:
-        """So many of those that stand in a place."""
+        """Fill `numbers` with those at an offset of the file."""
         with self._lock:
             self._file.seek(offset)
             self._file.readinto(numbers.data)
 
     def _bits(self, offset: int, first: int, last: int) -> np.ndarray:
-        """The same of bits."""
+        """Read bits `first` to `last` of a mask at an offset of the file."""
         start = first // 8
         found = np.empty(-(-last // 8) - start, np.uint8)
         self._read(offset + start, found)
@@ -163,5 +163,5 @@ class Spool:
 
     @property
     def checksum(self) -> bytes:
-        """Of all that the images hold."""
+        """Checksum of the images, tables and masks."""
         return self._checksum.digest()

@@ -1,4 +1,4 @@
-"""Stacks of images, read piece by piece: memory need not hold them."""
+"""Stacks of images, read piece by piece, so that they need not fit into memory."""
 
 import abc
 import copy
@@ -38,16 +38,16 @@ from phongfit.scene import Scene
 Update = Callable[[bytes | memoryview], None]
 
 DECODED = 2
-"""Photographs that are decoded at a time, while another is put away."""
+"""Number of photographs decoded in parallel, while another is written to the spool."""
 
 
 class AbstractStack(abc.ABC):
-    """Images of one size, asked for some of their pixels at a time."""
+    """Images of one size, of which some pixels are read at a time."""
 
     @property
     @abc.abstractmethod
     def shape(self) -> tuple[int, int, int]:
-        """How many images, their height and width."""
+        """Number of images, height, width."""
 
     @abc.abstractmethod
     def take(
@@ -58,25 +58,25 @@ class AbstractStack(abc.ABC):
         **Arguments:**
 
         - `pixels`: flat indices, row by row, rising.
-        - `order`: the images, in the order they are wanted.
+        - `order`: numbers of the images, in the order of the result.
 
-        **Returns:** an array; NumPy's masked one if samples may not be used.
+        **Returns:** an array; a masked array if some samples may not be used.
 
         **Raises:** `ValueError` that names the file that is missing or broken.
         """
 
     def take_coded(self, pixels: Int[np.ndarray, " n"], order: Sequence[int]) -> Coded:
-        """The same as the images have it: with a table if their numbers are whole."""
+        """Samples as stored: with a table of their light if they are whole numbers."""
         return Coded(self.take(pixels, order))
 
     @property
     def itemsize(self) -> int:
-        """Bytes of a sample as the images have it."""
+        """Bytes of a stored sample."""
         return _float_type().itemsize
 
     @abc.abstractmethod
     def identify(self, update: Update) -> None:
-        """Feed all that the images hold to a checksum."""
+        """Feed the content of the images to a checksum."""
 
 
 class ArrayStack(AbstractStack):
@@ -115,7 +115,7 @@ class ArrayStack(AbstractStack):
                     f"{array.shape}"
                 )
         self._arrays = tuple(arrays)
-        # Where there is one array of all of them, in memory as it is needed.
+        # One array in memory of the right type and order is used without copies.
         self._whole = None
         plain = type(images) is np.ndarray and images.flags.c_contiguous
         if plain and images.dtype == _float_type() and _mapping(images) is None:
@@ -152,7 +152,7 @@ class ArrayStack(AbstractStack):
 
 
 class AbstractCodedStack(AbstractStack):
-    """Images that are taken as they are, and turned into light for who asks for it."""
+    """Images that are read as stored, and decoded to light on request."""
 
     def take(
         self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
@@ -167,7 +167,7 @@ class AbstractCodedStack(AbstractStack):
 
 @final
 class RectangleStack(AbstractCodedStack):
-    """A rectangle of other images, in memory."""
+    """A rectangle of images in memory."""
 
     def __init__(self, images: Coded):
         """**Arguments:** `images`: (L, H, W, 3)."""
@@ -182,7 +182,7 @@ class RectangleStack(AbstractCodedStack):
         numbers, table = self._images
         numbers = numbers.reshape(len(numbers), -1, 3)
         if is_run(pixels):
-            # What is together stays where it is.
+            # Consecutive pixels are a view, without a copy.
             numbers = numbers[:, pixels[0] : pixels[-1] + 1]
         else:
             numbers = numbers.take(pixels, axis=1)
@@ -201,10 +201,10 @@ class RectangleStack(AbstractCodedStack):
 
 @final
 class KeptStack(AbstractCodedStack):
-    """Another stack, of which what was asked for last stays in memory."""
+    """A stack that keeps the samples of the last request in memory."""
 
     def __init__(self, stack: AbstractStack):
-        """**Arguments:** `stack`: of which the same pixels are wanted again."""
+        """**Arguments:** `stack`: a stack whose equal pixels are read repeatedly."""
         self._stack = stack
         self._asked: tuple[bytes, tuple[int, ...]] | None = None
         self._taken = Coded(np.zeros(0))
@@ -224,10 +224,10 @@ class KeptStack(AbstractCodedStack):
 
 
 class AbstractPhotographs(AbstractCodedStack):
-    """Photographs that are decoded once, a few of which are in memory at a time.
+    """Photographs that are decoded once, with a few in memory at a time.
 
-    They are then read from a temporary file, in the folder that TMPDIR names: what
-    becomes of their own files meanwhile does not matter.
+    The decoded samples are then read from a temporary file in the folder TMPDIR, so
+    that the original files may change or vanish meanwhile.
     """
 
     _spool: Spool
@@ -245,10 +245,10 @@ class AbstractPhotographs(AbstractCodedStack):
 
 @final
 class PhotographStack(AbstractPhotographs):
-    """Image files.
+    """Image files as a stack of photographs.
 
-    Where their exposures differ, they are in the light that the shortest let in, and
-    what was cut off at white is masked; `notes` says so.
+    If their exposures differ, all are scaled to the shortest exposure, samples clipped
+    at white are masked, and `notes` has a message about it.
     """
 
     @checked
@@ -265,7 +265,7 @@ class PhotographStack(AbstractPhotographs):
         - `encoding`, `white`: see [`read_image`][].
 
         **Raises:** `ValueError` that names the file that cannot be read, has another
-        size, or alone states no exposure.
+        size, or has no exposure while others have one.
         """
         series = open_photographs(paths, encoding, white=white)
         relative = series.relative_exposures
@@ -288,8 +288,8 @@ class PhotographStack(AbstractPhotographs):
 class DatasetStack(AbstractPhotographs):
     """A data set's photographs: see [`open_dataset`][].
 
-    Samples that the data set leaves out come masked. `mask` holds the pixels of which
-    any is left: the others count as outside if [`fit_maps`][] is told.
+    Samples that the data set leaves out are masked. `mask` is true for pixels with at
+    least one sample: if it is given to [`fit_maps`][], the others count as outside.
 
         data = pf.open_dataset("ballPNG")
         stack = pf.DatasetStack(data)
@@ -298,7 +298,7 @@ class DatasetStack(AbstractPhotographs):
 
     @checked
     def __init__(self, photographs: Photographs):
-        """**Arguments:** `photographs`: each is read once.
+        """**Arguments:** `photographs`: a data set, of which each file is read once.
 
         **Raises:** `ValueError` that names the file that is missing or wrong.
         """
@@ -312,7 +312,7 @@ class DatasetStack(AbstractPhotographs):
             self._spool.add(coded, mask)
 
     def with_scenes(self, scenes: Sequence[Scene]) -> "DatasetStack":
-        """The same photographs of other scenes, not decoded again."""
+        """The stack with other scenes, without decoding the photographs again."""
         other = copy.copy(self)
         other.photographs = dataclasses.replace(self.photographs, scenes=tuple(scenes))
         return other
@@ -325,9 +325,9 @@ class DatasetStack(AbstractPhotographs):
 class ZarrStack(AbstractCodedStack):
     """Images of a zarr array, version 3, on a disk or an object store.
 
-    Shape (light, y, x, 3): linear floats where white is 1, or whole numbers of 8 or 16
-    bits in an encoding. Any chunks or shards will do: what they hold in y and x is read
-    together.
+    Its shape is (light, y, x, 3), of linear floats where white is 1, or whole numbers
+    of 8 or 16 bits in an encoding. Chunks or shards may have any shape; the pixels of
+    one are read together.
 
         stack = pf.ZarrStack("dome/stack.zarr")
         stack = pf.ZarrStack("s3://museum/vase.zarr")
@@ -337,12 +337,12 @@ class ZarrStack(AbstractCodedStack):
     def __init__(self, path: str | os.PathLike[str], encoding: Encoding | None = None):
         """**Arguments:**
 
-        - `path`: of the array, or of a group in which it is called `images`; or a URL,
-            as fsspec has them.
+        - `path`: path or fsspec URL of the array, or of a group in which it is called
+            `images`.
         - `encoding`: default the attribute `encoding` of the array, else `"linear"`.
 
-        **Raises:** `ValueError` that names the store, and what is wrong with it, or
-        says that zarr is not installed: `pip install 'phongfit[cluster]'`.
+        **Raises:** `ValueError` that names the store and its fault, or if zarr is not
+        installed: `pip install 'phongfit[cluster]'`.
         """
         self.array = find_images(path)
         told = attributes(self.array).get("encoding", "linear")
@@ -367,7 +367,7 @@ class ZarrStack(AbstractCodedStack):
         return self.read_coded(window, size).light
 
     def read_coded(self, window: Window, size: tuple[int, int]) -> Coded:
-        """The same as the array has it."""
+        """Rows and columns of all images as stored, padded to `size` with 0."""
         numbers = read_window(self.array, window, size, first=1)
         if numbers.dtype.kind == "f":
             light = numbers.astype(_float_type(), copy=False)
@@ -393,14 +393,14 @@ class ZarrStack(AbstractCodedStack):
 
 
 def as_stack(images: Any) -> AbstractStack:
-    """`images` as a stack: one already, or arrays; `ValueError` for anything else."""
+    """Stack of `images`: a stack, a zarr store or arrays; else `ValueError`."""
     if is_store(images):
         return ZarrStack(images)
     return images if isinstance(images, AbstractStack) else ArrayStack(images)
 
 
 def identify_stack(stack: AbstractStack) -> str:
-    """A checksum of all that the images hold."""
+    """Checksum of the content of the images."""
     checksum = hashlib.blake2b(digest_size=16)
     stack.identify(checksum.update)
     return checksum.hexdigest()
@@ -437,24 +437,24 @@ def gather(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
 
 
 def as_index(pixels: np.ndarray) -> np.ndarray | slice:
-    """The same; a slice where they follow one another: then none is looked up."""
+    """Index of some pixels: a slice if they are consecutive, which is faster."""
     return slice(pixels[0], pixels[-1] + 1) if is_run(pixels) else pixels
 
 
 def is_run(numbers: np.ndarray) -> bool:
-    """Whether rising numbers follow one another."""
+    """True if rising numbers are consecutive."""
     return bool(len(numbers) and numbers[-1] - numbers[0] + 1 == len(numbers))
 
 
 def _let_go(array: np.ndarray) -> None:
-    """Drop pages of a memory-mapped array that have been read: they can be again."""
+    """Drop the pages of a memory-mapped array from memory; they can be read again."""
     mapping = _mapping(array)
     if mapping is not None and hasattr(mmap, "MADV_DONTNEED"):
         mapping.madvise(mmap.MADV_DONTNEED)
 
 
 def _mapping(array: np.ndarray) -> mmap.mmap | None:
-    """The file in memory that an array is a view of, unless it is written elsewhere."""
+    """The memory map that an array is a view of; `None` if it is copy-on-write."""
     base: Any = array
     while isinstance(base, np.ndarray):
         if isinstance(base, np.memmap) and base.mode not in ("r", "r+"):

@@ -1,4 +1,4 @@
-"""Finished tiles on disk: whole or not at all, and of one job only."""
+"""Store of finished tiles on disk, which are complete and of one job."""
 
 import contextlib
 import hashlib
@@ -20,13 +20,13 @@ CHECK = "check"
 
 
 class TileStore:
-    """A folder that remembers which tiles of a job are done."""
+    """A folder with the finished tiles of a job."""
 
     def __init__(self, folder: str | os.PathLike[str], job: dict[str, Any]):
         """**Arguments:**
 
-        - `folder`: one that is there.
-        - `job`: what identifies the job; plain numbers and text.
+        - `folder`: an existing folder.
+        - `job`: checksums and settings that identify the job: plain numbers and text.
 
         **Raises:** `ValueError` if the folder holds tiles of another job, or other
         files; `OSError` that names it.
@@ -48,13 +48,13 @@ class TileStore:
         return self._folder / f"tile_{tile:06d}.npz"
 
     def load(self, tile: int) -> dict[str, np.ndarray] | None:
-        """The arrays of a tile, or `None` if it is not done, or not readable."""
+        """The arrays of a tile, or `None` if it is not finished or not readable."""
         try:
             arrays = unpack(read_bytes(self._path(tile)))
             check = arrays.pop(CHECK).tobytes()
             return arrays if check == self._checksum(tile, arrays) else None
         except Exception:
-            # Missing, or broken by something else than an interrupt: done again.
+            # The file is missing or damaged: the tile is fitted again.
             return None
 
     def save(self, tile: int, arrays: dict[str, np.ndarray]) -> None:
@@ -77,9 +77,9 @@ class TileStore:
 def tile_store(
     folder: str | os.PathLike[str], job: dict[str, Any]
 ) -> Iterator[TileStore]:
-    """A [`TileStore`][] for this run alone; its folder is made if it is not there.
+    """A [`TileStore`][] that is locked for this run; its folder is made if missing.
 
-    **Raises:** as [`TileStore`][] does; `OSError` if another run writes there.
+    **Raises:** as [`TileStore`][]; `OSError` if another run writes there.
     """
     Path(folder).mkdir(parents=True, exist_ok=True)
     with alone_in(Path(folder)):
@@ -93,9 +93,9 @@ def _check(manifest: Path, job: dict[str, Any]) -> None:
 
 
 def check_job(place: str, found: Any, job: dict[str, Any]) -> None:
-    """Are the tiles in a place of this job?
+    """Check that the tiles in a place are of this job.
 
-    **Raises:** `ValueError` that says in what they differ.
+    **Raises:** `ValueError` that names the differences.
     """
     if found != json.loads(json.dumps(job)):
         held = found if isinstance(found, dict) else {}

@@ -1,4 +1,4 @@
-"""Maps in a store: zarr arrays of the names that `maps.npz` has, a window at a time."""
+"""Maps in a zarr store, with the array names of `maps.npz`, read by windows."""
 
 import dataclasses
 import json
@@ -33,20 +33,20 @@ STORE_FORMAT = "phongfit maps"
 STORE_VERSION = 1
 
 LEDGER, GIVEN, PLAN = "ledger", "given", "plan"
-"""In the output's store: checksums of blocks; arrays that were given; the plan."""
+"""Names in the output's store: checksums of blocks, input arrays, and the plan."""
 
 OWN = {
     *MAP_PARAMETERS,
     *(f"stderr_{name}" for name in MAP_PARAMETERS),
     *(*PLAIN, "noise_given", LEDGER, GIVEN, PLAN, WORK, "zarr.json"),
 }
-"""All that a run puts into a store on a disk."""
+"""Names of all files and folders that a run writes into a store on a disk."""
 
 Count = Annotated[int, Field(ge=1)]
 
 
 class StoreRecord(AbstractRecord):
-    """What a store says of the maps in it; `counts` once they are complete."""
+    """Attributes of a store of maps; `counts` exists once the maps are complete."""
 
     format: Literal["phongfit maps"]
     version: Literal[1]
@@ -69,12 +69,12 @@ class StoreRecord(AbstractRecord):
 
 
 def check_place(output: str | os.PathLike[str], images: str | None) -> None:
-    """May maps go to a path on a disk? Asked before anything is written there.
+    """Check that maps can be written to a path on a disk, before anything is written.
 
-    **Arguments:** `images`: the store that they are made of, if it is one: its path or
-    URL.
+    **Arguments:** `images`: path or URL of the store of the images, if there is one.
 
-    **Raises:** `OSError` if the images are there, or what is no part of such a store.
+    **Raises:** `OSError` if the images are there, or files that are not part of a store
+    of maps.
     """
     place = Path(output).resolve()
     source = None if images is None else Path(images).resolve()
@@ -90,7 +90,7 @@ def check_place(output: str | os.PathLike[str], images: str | None) -> None:
 
 
 def maps_of(arrays: Mapping[str, np.ndarray], head: Mapping[str, Any]) -> Maps:
-    """Maps of arrays by their names in a store, without the camera.
+    """Make maps from arrays by their names in a store, without the camera.
 
     **Arguments:** `head`: the store's attributes.
 
@@ -110,18 +110,19 @@ def maps_of(arrays: Mapping[str, np.ndarray], head: Mapping[str, Any]) -> Maps:
 
 
 class StoredMaps:
-    """Maps that [`fit_stored_maps`][] has left in a zarr store, on disk or elsewhere.
+    """Maps that [`fit_stored_maps`][] has written into a zarr store.
 
-    Their arrays have the names of [`Maps`][] and, `stderr_diffuse` and the like, of its
-    errors; programs that read zarr read them. `str` of it counts pixels as `Maps` does.
+    The arrays have the names of [`Maps`][], and `stderr_diffuse` and the like for its
+    errors; any program that reads zarr can read them. `str` gives counts of pixels, as
+    for [`Maps`][].
     """
 
     @checked
     def __init__(self, path: str | os.PathLike[str]):
-        """**Arguments:** `path`: or URL.
+        """**Arguments:** `path`: path or URL of the store.
 
-        **Raises:** `ValueError` that names it: there is no store, or one of something
-        else, or its maps are not complete.
+        **Raises:** `ValueError` that names the store if it is missing, is not a store
+        of maps, or its maps are not complete.
         """
         self.path = address(path)
         self._group = open_group(path)
@@ -147,15 +148,15 @@ class StoredMaps:
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many pixels were `fitted`, are `identified`, and have each flag."""
+        """Numbers of pixels that were `fitted`, `identified`, and have each flag."""
         return dict(self._head["counts"])
 
     @checked
     def load(self, rows: slice | None = None, columns: slice | None = None) -> Maps:
-        """The maps of a rectangle in memory; by default all of them.
+        """Read the maps of a rectangle into memory; by default all pixels.
 
-        **Raises:** `ValueError` that names the store: it is broken, or what is asked
-        for takes more memory than what is read may take (`PHONGFIT_MAX_MEMORY`).
+        **Raises:** `ValueError` that names the store if it is broken, or if the maps
+        take more memory than allowed (`PHONGFIT_MAX_MEMORY`).
         """
         height, width = self.shape
         sides = (

@@ -1,13 +1,14 @@
-r"""How strong the light of each photograph was, from the photographs themselves.
+r"""Estimates of the strength of each photograph's light from the photographs.
 
 A matte point of unknown colour and normal, with irradiance vectors $E_l$ of the lamps
-(their light times its direction), sends $s_l (E_l \cdot b + h_l)$, where b is its
-colour times its normal, h its highlight and $s_l$ how many times as strong the
-light of photograph l is as the scene has it. More than four lamps with directions that
-are not special leave only a common factor of all $s_l$ open.
+(their intensity times their direction), reflects $s_l (E_l \cdot b + h_l)$, where b is
+its colour times its normal, h its highlight and $s_l$ the strength of the light in
+photograph l relative to the scene. With more than four lamps in general directions,
+only a common factor of all $s_l$ is not identified.
 
-Gauss-Newton steps in $\log s$ and all b at once, b eliminated point by point (variable
-projection), with Tukey's biweight against shadows and what else is not matte.
+Gauss-Newton steps in $\log s$ and all b at once, with b eliminated point by point
+(variable projection), and Tukey's biweight for robustness to shadows and other light
+that is not matte.
 
 ??? cite "Source"
     Golub and Pereyra, *Separable nonlinear least squares*, Inverse Problems 19(2),
@@ -34,58 +35,61 @@ from phongfit.rendering.pixels import pixel_terms
 from phongfit.scene import Scene
 
 SAMPLE = 2000
-"""Pixels that strengths are found from, at the most."""
+"""Maximum number of pixels from which strengths are estimated, approximately."""
 
 LIT = 0.15
-"""Smallest cosine, or share of a pixel's brightest sample, of a sample that counts:
-nearer to the edge of its own shadow a surface is less sure than its model."""
+"""Smallest cosine, or fraction of a pixel's brightest sample, of samples in use: in
+more grazing light surfaces deviate from the model."""
 
 BRIGHT = 0.3
-"""A pixel counts if it is so bright, next to the median: others are mostly noise."""
+"""Least brightness of pixels in use, relative to the median: noise dominates others."""
 
 TUKEY = 4.7
-"""Residuals of so many standard deviations count no more."""
+"""Residuals of at least this many standard deviations have weight 0."""
 
 STEPS, SMALL = 50, 1e-5
-"""Gauss-Newton steps at the most, and the change of log s that ends them."""
+"""Maximum number of Gauss-Newton steps, and the change of log s that ends them."""
 
 ROUNDS, SETTLED = 12, 5e-4
-"""How often highlights are found anew, and the change that is not worth another."""
+"""Maximum number of fits of the highlights, and the change of log s that ends them."""
 
 MOST = 0.9
-"""By how much of a change of strengths highlights change them again, at the most."""
+"""Largest fraction of a change of strengths that refitted highlights are assumed to
+follow."""
 
 LEAST = 1e-3
-"""No strength is stated to be better, as a share of it."""
+"""Least relative standard error of a strength."""
 
 DIRECTION = 2.0
-"""How well lamps' directions are taken to be known, degrees. Two mirror balls differ by
-1°, a mirror ball and a matte one by 2°, up to 6° for single lamps. Where lamps stand
-much alike, small turns of them look like other strengths."""
+"""Assumed standard error of the lamps' directions, degrees.
+
+Two mirror balls differ by 1°, a mirror ball and a matte one by 2°, up to 6° for single
+lamps. If the lamps have similar directions, small errors of the directions have the
+effect of other strengths."""
 
 FEWEST = 6
-"""Images from which on given strengths are checked."""
+"""Least number of images for a check of given strengths."""
 
 NOTABLE = 0.1
 """Errors of strengths below this give no warning.
 
-Shadows and interreflections look like them: on DiLiGenT's ball, whose lamps were
-calibrated by its makers, strengths seem to be off by up to 5 %."""
+Shadows and interreflections have a similar effect: on DiLiGenT's ball, whose lamps were
+calibrated by its authors, strengths seem to be off by up to 5 %."""
 
 EQUAL = 5.0
-"""Strengths that all are within so many standard errors of their mean may be equal."""
+"""Strengths may be equal if all are within this many standard errors of their mean."""
 
 BLOCK = 16
-"""Pixels up to this far apart err together."""
+"""Side of blocks of pixels whose errors are treated as correlated."""
 
 
 class Points(NamedTuple):
-    """Samples of some pixels, and what is known of their light.
+    """Samples of some pixels, and the light that arrives there.
 
-    - `light`: what the photographs show.
+    - `light`: linear light of the photographs.
     - `usable`: samples that may be used.
-    - `irradiance`: E, of white light times its direction towards the lamp.
-    - `block`: of pixels that err together.
+    - `irradiance`: E, the intensity of the light times the direction towards it.
+    - `block`: number of the block of pixels with correlated errors.
     """
 
     light: Float[np.ndarray, "images pixels 3"]
@@ -97,14 +101,14 @@ class Points(NamedTuple):
 def find_strengths(
     once: Callable[..., Maps], job: Job, *, per_channel: bool
 ) -> Strengths:
-    """Strengths of the light of all images, for maps whose normals are sought.
+    """Estimate strengths of the light of all images, for maps with unknown normals.
 
     **Arguments:**
 
-    - `once`: maps of scenes and a stack, with the job's settings.
-    - `per_channel`: whether each channel has its own.
+    - `once`: function that fits maps to scenes and a stack, with the job's settings.
+    - `per_channel`: whether each channel has its own strength.
 
-    **Raises:** `ValueError` where too little is seen.
+    **Raises:** `ValueError` if no pixel is bright enough in three images.
     """
     scenes, kept = job.scenes, KeptStack(job.stack)
     buffer = scenes[0].trace()
@@ -116,7 +120,7 @@ def find_strengths(
     mask.ravel()[pixels] = True
 
     def improved(last: Strengths) -> tuple[Strengths, np.ndarray]:
-        """Strengths beside the highlights of maps under the last ones; their change."""
+        """Strengths for highlights of maps fitted with the last ones; their change."""
         some = [_only(scene, buffer, mask) for scene in last.lit(scenes)]
         maps = once(some, kept, output=None, progress=False)
         highlight = _highlights(maps, scenes, buffer, pixels)
@@ -130,7 +134,8 @@ def find_strengths(
             if np.abs(change).max() < SETTLED:
                 break
             if before is not None:
-                # Highlights follow strengths by some share: then all of them do.
+                # Refitted highlights follow a fraction of a change of strengths, so
+                # that the changes are a geometric series: add its sum.
                 slope = _share(change, before)
                 further = np.exp(slope / (1 - slope) * change)
                 found = found._replace(values=found.values * further)
@@ -142,15 +147,15 @@ def find_strengths(
 
 
 def strength_error(maps: Maps, scenes: Sequence[Scene], job: Job) -> float:
-    """Error of the strengths of light that the scenes have, from finished maps.
+    """Error of the strengths of the scenes' lights, from finished maps.
 
     The strengths are solved for once, with the highlights of the maps held.
 
-    **Arguments:** `scenes`: those of the last pass, where the pixels lie.
+    **Arguments:** `scenes`: those of the last pass, with its surface.
 
     **Returns:** the largest deviation of a factor on the strengths from their mean,
-    relative to it; 0 where all may be right, it is below [`NOTABLE`][], or too little
-    is seen.
+    relative to it; 0 if all may be right, if it is below [`NOTABLE`][], or if the
+    images are too few or too dark.
     """
     if len(scenes) < FEWEST or "ambient" in job.settings.names:
         return 0.0
@@ -159,21 +164,23 @@ def strength_error(maps: Maps, scenes: Sequence[Scene], job: Job) -> float:
     try:
         stack = KeptStack(job.stack)
         pixels, points = sample_points(scenes, stack, buffer, job.masks, white)
+        highlight = _highlights(maps, scenes, buffer, pixels)
+        found, _ = solve(points, highlight, np.ones((len(scenes), 1)))
     except ValueError:
+        # Too dark for strengths, or their equations are singular.
         return 0.0
-    highlight = _highlights(maps, scenes, buffer, pixels)
-    found, _ = solve(points, highlight, np.ones((len(scenes), 1)))
     error = float(np.abs(found.values - 1).max())
-    return 0.0 if may_be_equal(found) or error < NOTABLE else error
+    notable = np.isfinite(error) and error >= NOTABLE and not may_be_equal(found)
+    return error if notable else 0.0
 
 
 def _share(following: np.ndarray, wrong: np.ndarray) -> float:
-    """How much of a wrong change of strengths the highlights of maps follow."""
+    """Fraction of a change of strengths that refitted highlights follow."""
     return float(np.clip(np.sum(following * wrong) / np.sum(wrong**2), 0, MOST))
 
 
 def may_be_equal(found: Strengths) -> bool:
-    """Whether all strengths are equal within their errors."""
+    """True if all strengths are equal within their errors."""
     return bool((np.abs(found.values - 1) < EQUAL * found.stderr).all())
 
 
@@ -184,7 +191,7 @@ def sample_points(
     masks: Masks,
     white: float,
 ) -> tuple[Int[np.ndarray, " pixels"], Points]:
-    """Some of the pixels that see the surface, evenly, those too dark left out.
+    """Evenly chosen pixels that see the surface, without dark ones, and their samples.
 
     **Raises:** `ValueError` if none is bright enough in three images.
     """
@@ -218,11 +225,12 @@ def solve(
     highlight: Float[np.ndarray, "images pixels 3"],
     values: Float[np.ndarray, "images channels"],
 ) -> tuple[Strengths, Float[np.ndarray, "images channels"]]:
-    """The strengths that leave least, from `values` on; see the module's formula.
+    """Solve for the strengths of smallest residuals, starting from `values`.
 
     **Arguments:** `highlight`: h, of light of strength 1.
 
-    **Returns:** strengths, and the most likely error of their logarithms.
+    **Returns:** strengths, and the principal component of the errors of their
+    logarithms that errors of the lights' directions cause.
     """
     logs = np.log(values)
     weight = (points.usable & (points.light > LIT * _brightest(points))).astype(float)
@@ -248,7 +256,7 @@ def solve(
     for c, (information, scores) in enumerate(
         zip(sums.information, sums.gradient, strict=True)
     ):
-        # Highlights that are held would tell the common factor, if they were right.
+        # Without the common factor, which held highlights would seem to determine.
         ratios = np.eye(len(information)) - 1 / len(information)
         inverse = np.linalg.pinv(ratios @ information @ ratios, 1e-9, hermitian=True)
         blocks = len(scores) / max(len(scores) - 1, 1)
@@ -266,7 +274,7 @@ def solve(
 def _turned(
     points: Points, highlight: np.ndarray, values: np.ndarray, weight: np.ndarray
 ) -> list[Float[np.ndarray, "images turns"]]:
-    """How the gradient of log s changes as each lamp turns about x, y and z."""
+    """Derivative of the gradient of log s by turns of each lamp about x, y and z."""
     unit = 1 / _brightest(points)[0]
     frames, b = _matte(points, highlight, values, weight, unit)
     matte = np.einsum("lpca,pca->lpc", points.irradiance, b)
@@ -303,7 +311,7 @@ def _eliminated(
     weight: Float[np.ndarray, "images pixels"],
     frame: Float[np.ndarray, "pixels images axes"],
 ) -> Float[np.ndarray, "images images"]:
-    """Products of two derivatives, each of its own image, less what b takes up."""
+    """Products of two derivatives for all pairs of images, with b eliminated."""
     root = np.sqrt(weight)
     left, right = (np.einsum("lp,pla->pla", root * x, frame) for x in (one, other))
     products = np.diag((weight * one * other).sum(axis=1))
@@ -313,8 +321,8 @@ def _eliminated(
 class _Sums(NamedTuple):
     """Normal equations of log s with all b eliminated, channel by channel.
 
-    `gradient` has a row for each block of pixels; `weight` is that of samples in the
-    next step.
+    `gradient` has a row for each block of pixels; `weight` has the samples' weights in
+    the next step.
     """
 
     information: list[Float[np.ndarray, "images images"]]
@@ -335,7 +343,7 @@ def _sum_up(
     left = (points.light - values[:, None] * expected) * unit
     length = np.linalg.norm(points.irradiance, axis=-1) * np.linalg.norm(b, axis=-1)
     lit = points.usable & (matte > LIT * length)
-    # Residuals are smaller than noise by what b was fitted to.
+    # Residuals are smaller than the noise by the degrees of freedom of b.
     images, axes = np.median(lit.sum(axis=0)), points.irradiance.shape[-1]
     free = max(images - axes - 1, 1) / max(images, 1)
     scale = 1.4826 * np.median(np.abs(left[lit])) / np.sqrt(free)
@@ -366,7 +374,7 @@ def _matte(
     weight: np.ndarray,
     unit: np.ndarray,
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """Orthonormal frames of what b explains, channel by channel, and the best b."""
+    """Orthonormal bases of the light that b explains, per channel, and the best b."""
     frames, found = [], []
     for c in range(3):
         s = values[:, [min(c, values.shape[1] - 1)]]
@@ -375,7 +383,7 @@ def _matte(
         target = root * unit[:, c] * (points.light[..., c] - s * highlight[..., c])
         q, triangle = np.linalg.qr(np.moveaxis(rows, 0, 1))
         right = np.einsum("pla,lp->pa", q, target)
-        # What too few samples see stays at its shortest solution.
+        # With too few samples, the pseudo-inverse gives the solution of least norm.
         inverse = np.linalg.pinv(triangle, rcond=1e-6)
         frames.append(q)
         found.append(np.einsum("pab,pb->pa", inverse, right))
@@ -383,7 +391,7 @@ def _matte(
 
 
 def _step(information: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """The step of log s; none along the common factor, which nothing determines."""
+    """The step of log s, without the common factor, which is not identified."""
     count = len(information)
     held = information + np.full((count, count), np.trace(information) / count**2)
     held += 1e-9 * np.trace(information) / count * np.eye(count)
@@ -398,7 +406,7 @@ def _brightest(points: Points) -> Float[np.ndarray, "1 pixels 3"]:
 def _irradiance(
     scene: Scene, points: Float[np.ndarray, "pixels 3"]
 ) -> Float[np.ndarray, "pixels 3 axes"]:
-    """Of all lamps together: what a surface gets that all of them shine on."""
+    """Sum of intensity times direction over all lights of a scene, without shadows."""
     total = np.zeros((len(points), 3, 3))
     for light in scene.lights:
         there = jax.vmap(light.illuminate)(jnp.asarray(points, jnp.result_type(float)))
@@ -408,7 +416,7 @@ def _irradiance(
 
 
 def _only(scene: Scene, buffer: GBuffer, mask: np.ndarray) -> Scene:
-    """The scene with some of its pixels alone."""
+    """The scene restricted to some pixels, without shadows."""
     normals = np.where(mask[..., None], np.asarray(buffer.normal), 0)
     surface = NormalMap(normals, mask, buffer.position)
     return dataclasses.replace(scene, surface=surface, shadows=False)

@@ -1,8 +1,8 @@
-"""Maps as texture images: 8 bits, colours sRGB-encoded as renderers expect them.
+"""Maps as texture images of 8 bits, with sRGB-encoded colours as renderers expect.
 
-What a pixel does not identify is chance in the maps, as their errors say; a texture has
-no errors. So a highlight that is 0 within its error becomes 0, and whatever else a
-pixel does not identify becomes the median of the pixels that can.
+Unidentified parameters are arbitrary in the maps, which mark them by infinite errors; a
+texture has no errors. So a highlight that is 0 within its error becomes 0, and other
+unidentified parameters become the median of the pixels that identify them.
 """
 
 import dataclasses
@@ -22,9 +22,10 @@ from phongfit.reflectance import AbstractSpecular
 
 
 class TextureMaps(NamedTuple):
-    """Maps of the un-normalised Blinn-Phong model, (H, W, 3), and where they are.
+    """Maps of the un-normalised Blinn-Phong model, (H, W, 3), with masks.
 
-    `filled`: pixels whose numbers are not all their own.
+    - `inside`: 1 for pixels that were fitted, else 0.
+    - `filled`: pixels in which a parameter was filled in.
     """
 
     ambient: Float[np.ndarray, "height width 3"]
@@ -36,9 +37,10 @@ class TextureMaps(NamedTuple):
 
 
 def texture_maps(maps: Maps, model: AbstractSpecular) -> TextureMaps:
-    """What textures are made of; where channels have own exponents, their mean.
+    """Filled maps in the model of textures, with one exponent for all channels.
 
-    The mean is that of logarithms: it is ratios of exponents that are seen.
+    The exponent is the geometric mean over the channels, since ratios of exponents are
+    visible.
     """
     filled, is_filled = filled_in(maps)
     material = as_blinn(filled, model)
@@ -55,9 +57,9 @@ def texture_maps(maps: Maps, model: AbstractSpecular) -> TextureMaps:
 
 
 def filled_in(maps: Maps) -> tuple[Material, Bool[np.ndarray, "height width"]]:
-    """The maps with what is chance in them filled in, and the pixels where it was."""
+    """The maps with unidentified parameters filled in, and a mask of these pixels."""
     inside = ~maps.flagged(Flag.OUTSIDE)[..., None]
-    # Black pixels stay black; and an exponent that lies at its bound is no chance.
+    # Not BLACK pixels, which stay black, and not AT_BOUND, where f is not arbitrary.
     vague = maps.flagged(Flag.TOO_FEW | Flag.NO_HIGHLIGHT | Flag.DEGENERATE)[..., None]
     filled, touched = {}, np.zeros(maps.flags.shape, bool)
     for name in MAP_PARAMETERS:
@@ -65,7 +67,7 @@ def filled_in(maps: Maps) -> tuple[Material, Bool[np.ndarray, "height width"]]:
         chance = inside & vague & ~np.isfinite(errors)
         filled[name] = np.where(chance, _medians(values, inside & ~chance), values)
         touched |= chance.any(axis=-1)
-    # Its error is finite: it is known to be small, and of its exponent nothing is.
+    # With a finite error ρ_s is small, and its exponent is not identified.
     matte = maps.flagged(Flag.NO_HIGHLIGHT)[..., None]
     matte = matte & np.isfinite(maps.stderr.specular)
     filled["specular"] = np.where(matte, 0, filled["specular"])
@@ -73,7 +75,7 @@ def filled_in(maps: Maps) -> tuple[Material, Bool[np.ndarray, "height width"]]:
 
 
 def _medians(values: np.ndarray, identified: np.ndarray) -> np.ndarray:
-    """The median of each channel over the pixels that identify it; 0 if none does."""
+    """Median of each channel over the pixels that identify it; 0 without any."""
     kept = [channel[own] for channel, own in zip(values.T, identified.T, strict=True)]
     return np.array([np.median(one) if one.size else 0 for one in kept], values.dtype)
 
@@ -84,17 +86,17 @@ def gltf_textures(
     """Keys of a glTF material with the maps as textures: see [`phongfit.files.gltf`][].
 
     **Arguments:** `normals`: in the axes of the image (right, up, to the viewer);
-    `None` where the vertices have them.
+    `None` if the vertices have normals.
     """
 
     def picture(*channels: np.ndarray) -> Picture:
-        # Nearest, clamped: a texel is one pixel of the maps.
+        # No interpolation or repetition, since a texel is one pixel of the maps.
         png = encode_png(np.concatenate(channels, axis=-1))
         return Picture(png, nearest=True, repeat=False)
 
     tint = specular_colour(textured.specular, textured.shininess)
     factor = np.maximum(tint.reshape(-1, 3).max(axis=0), 1e-6)
-    # Red is not used, blue is metallic.
+    # glTF does not use red; green is roughness, and blue is metallic.
     rough = np.zeros_like(textured.diffuse)
     rough[..., 1] = roughness(textured.shininess)[..., 0]
     inside = to_levels(textured.inside, "linear", 8)
@@ -120,7 +122,7 @@ def gltf_textures(
 
 
 def mtl_textures(textured: TextureMaps) -> dict[str, tuple[bytes, list[float]]]:
-    """For each texture of an .mtl its bytes, and the numbers that it multiplies."""
+    """Bytes of each texture of an `.mtl`, and the numbers that it multiplies."""
     highest = float(max(textured.shininess.max(), 1.0))
     white = [1.0, 1.0, 1.0]
     grey = np.repeat(textured.shininess / highest, 3, axis=-1)
@@ -133,7 +135,7 @@ def mtl_textures(textured: TextureMaps) -> dict[str, tuple[bytes, list[float]]]:
 
 
 def rectangle(height: int, width: int) -> Part:
-    """The picture's plane, 2 high, facing +z: what the textures of maps lie on."""
+    """Rectangle for the textures of maps: 2 high, in their aspect ratio, facing +z."""
     x, y = width / height, 1.0
     corners = np.array([[-x, -y, 0], [x, -y, 0], [x, y, 0], [-x, y, 0]])
     return Part(

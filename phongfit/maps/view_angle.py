@@ -1,16 +1,17 @@
 r"""The camera's angle of view, from photographs under known distant lamps.
 
-Which way a pixel looks moves its highlight, and nothing else where lamps are far away.
-So a few pixels are fitted at several angles of view, each with its own noise level
-$\sigma_p(\varphi)$, and the angle is that of the largest likelihood, the least of
+Under distant lamps the view direction of a pixel affects only its highlight. So a
+sample of pixels is fitted at several angles of view, with a noise level
+$\sigma_p(\varphi)$ for each pixel. The estimate has the largest likelihood, which is
+the minimum of
 
 $$
 C(\varphi) = \sum_p n_p \log \sigma_p(\varphi),
 $$
 
-with $n_p$ the samples of pixel p. Its standard error is a sandwich, since neighbouring
-pixels share what the model leaves out: $\sqrt{\sum_b g_b^2} / C''$, where $g_b$ is the
-derivative of the part of C that a block of pixels contributes.
+with $n_p$ the number of samples of pixel p. Its standard error is a sandwich estimate,
+since the lack of fit of neighbouring pixels is correlated: $\sqrt{\sum_b g_b^2} / C''$,
+where $g_b$ is the derivative of the part of C that a block of pixels contributes.
 """
 
 import dataclasses
@@ -33,25 +34,25 @@ from phongfit.maps.stacks import AbstractStack, KeptStack, as_stack
 from phongfit.scene import Scene
 
 SAMPLE = 600
-"""Pixels that the angle is found from, at most."""
+"""Maximum number of pixels from which the angle is estimated, approximately."""
 
 BRIGHT = 0.3
-"""A pixel counts if it is at least this bright, as a fraction of the median pixel."""
+"""Least brightness of pixels in use, as a fraction of the median."""
 
 ANGLES = (0.0, 10.0, 20.0, 30.0, 40.0, 55.0, 70.0)
 """Angles that are tried first, degrees; 0 stands for parallel rays."""
 
 COARSE_ANGLES = (20.0, 40.0, 60.0)
-"""Angles that are compared with the given camera where none is asked for, degrees."""
+"""Angles that `check_fov` compares with the given camera, degrees."""
 
 STEPS = 3
-"""Parabolas that are laid through the best angles, one after another."""
+"""Number of refinements by a parabola through the best angle and its neighbours."""
 
 CLOSE = 0.5
-"""An angle so close to one that was tried ends the search, degrees."""
+"""The search ends at an angle this close to one that was tried, degrees."""
 
 FLOOR = 1e-3
-"""Noise that any photograph has, in linear light where white is 1."""
+"""Least noise of a photograph, in linear light where white is 1."""
 
 DETERMINED = 0.25
 """Largest standard error of an angle that counts as determined, relative to it."""
@@ -60,7 +61,7 @@ SIGNIFICANT = 3.0
 """Standard errors by which C must be below that of the given camera."""
 
 LOWER = 0.9
-"""Noise relative to that with the given camera, at most."""
+"""Largest noise of an improvement, relative to that with the given camera."""
 
 BLOCK = 8
 """Side of a block of pixels, in pixels, whose errors may be correlated."""
@@ -69,12 +70,11 @@ BLOCK = 8
 class FovFit(NamedTuple):
     """A camera's vertical angle of view.
 
-    - `degrees`: the most likely one; 0 for parallel rays.
-    - `stderr`: its standard error, degrees; infinite where it is not determined.
+    - `degrees`: the most likely angle; 0 for parallel rays.
+    - `stderr`: its standard error, degrees; infinite if it is not determined.
     - `noise_ratio`: median noise of the pixels at this angle, over that with the camera
         of the scenes.
-    - `better`: by how many standard errors it explains the pixels better than the
-        camera of the scenes.
+    - `better`: decrease of C from the camera of the scenes, in standard errors.
     """
 
     degrees: float
@@ -84,15 +84,15 @@ class FovFit(NamedTuple):
 
     @property
     def improves(self) -> bool:
-        """Whether it leaves significantly less noise, and a tenth less at least.
+        """True if the noise decreases significantly, and by at least a tenth.
 
-        Smaller gains may be those of shadows and of light that bounced.
+        Smaller decreases may be caused by shadows and interreflections.
         """
         return self.noise_ratio < LOWER and self.better > SIGNIFICANT
 
     @property
     def determined(self) -> bool:
-        """Whether the photographs determine it, to a quarter of itself."""
+        """True if the angle improves the fit, with a relative error below a quarter."""
         return self.improves and self.stderr < DETERMINED * self.degrees
 
     def __str__(self) -> str:
@@ -108,17 +108,17 @@ class FovFit(NamedTuple):
 def fit_fov(
     scenes: Sequence[Scene], images: Any, *, mask: Any = None, **options: Any
 ) -> FovFit:
-    """The angle of view with which maps of normals and materials leave least noise.
+    """Estimate the angle of view with the least noise in maps of normals and materials.
 
-    It needs highlights in many places: a matte surface looks alike from everywhere.
+    It needs highlights in many places: a matte surface looks equal from all directions.
 
     **Arguments:**
 
     - `scenes`, `images`, `mask`: as in [`fit_maps`][] with `normals="fit"`, under
         distant lamps whose directions are in the camera's axes.
-    - `options`: further ones of [`fit_maps`][], such as `per_channel`.
+    - `options`: further options of [`fit_maps`][], such as `per_channel`.
 
-    **Returns:** [`FovFit`][]; see its `determined`. [`seen_over`][] gives the scenes
+    **Returns:** [`FovFit`][]; see its `determined`. [`seen_over`][] makes scenes with
     that angle.
 
     **Raises:** `ValueError` as [`fit_maps`][] does.
@@ -129,9 +129,9 @@ def fit_fov(
 def check_fov(
     scenes: Sequence[Scene], images: Any, *, mask: Any = None, **options: Any
 ) -> FovFit:
-    """Whether an angle of view, of a few, would leave less noise than the scenes'.
+    """Check whether one of a few angles of view gives less noise than the scenes'.
 
-    Arguments as in [`fit_fov`][]. Quicker, and `degrees` is approximate.
+    The arguments are those of [`fit_fov`][], which is slower and more precise.
     """
     return _fit_among(COARSE_ANGLES, 0, scenes, images, mask, options)
 
@@ -180,14 +180,14 @@ def seen_over(scenes: Sequence[Scene], degrees: float) -> tuple[Scene, ...]:
 
 
 class _Noise(NamedTuple):
-    """Of each sampled pixel: its noise level, and the number of its samples."""
+    """Noise level and number of samples of each sampled pixel."""
 
     level: Float[np.ndarray, " pixels"]
     samples: Int[np.ndarray, " pixels"]
 
     @property
     def cost(self) -> Float[np.ndarray, " pixels"]:
-        """Minus the logarithm of the likelihood; NaN where nothing was fitted."""
+        """Negative log-likelihood of each pixel; NaN if it was not fitted."""
         return self.samples * np.log(np.hypot(self.level, FLOOR))
 
 
@@ -208,7 +208,8 @@ def _sample(
 def _next_angle(noise: dict[float, _Noise]) -> float | None:
     """The vertex of the parabola through the best angle and its neighbours.
 
-    `None` where the best is the largest angle, or where parallel rays are.
+    `None` if the best angle is the smallest or largest, or if the vertex is close to an
+    angle that was tried.
     """
     angles = sorted(noise)
     together = np.all([np.isfinite(noise[a].cost) for a in angles], axis=0)

@@ -204,6 +204,8 @@ def test_a_texture_that_is_missing_is_named(tmp_path):
         ("a.obj", SQUARE + "f -5 1 2\n", "line 5: f: .*got '-5'"),
         ("a.obj", SQUARE + "f 1 2 3/1/1/1\n", "line 5: f: .*got '3/1/1/1'"),
         ("a.obj", SQUARE + "f 1 2 c\n", "line 5: f: .*got 'c'"),
+        ("a.obj", SQUARE + f"f 1 2 {10**20}\n", "line 5: f: .*got '10000"),
+        ("a.off", f"OFF\n0 1 0\n3 0 1 {10**20}\n", "line 3: expected the number"),
         ("a.off", "COFF\n3 1\n0 0 0 1\n", "line 3: expected 6 numbers, got"),
         ("a.off", "OFF\n3 1\n0 0 0\n0 1 0\n", "line 5: expected 3 numbers, got"),
         ("a.off", "OFF BINARY\n", "line 1: expected OFF, and text"),
@@ -362,6 +364,34 @@ def test_a_polygon_of_too_many_corners_is_refused():
     corners = np.arange(len(ring))
     with pytest.raises(ValueError, match="its faces: expected at most 20000 corners"):
         triangulate(ring, corners, np.array([len(ring)]), print)
+    # As many as two of half the corners each; a third one is too many.
+    third = len(ring) // 2
+    counts = np.full(5, third)
+    corners = np.tile(corners[:third], 5)
+    with pytest.raises(ValueError, match="got 5 faces of 10000"):
+        triangulate(ring, corners, counts, print)
+
+
+def test_a_binary_ply_of_large_polygons(tmp_path):
+    """A prism: the number of corners, of 8 bits, times 4 bytes is more than 255."""
+    n = 100
+    angle = np.linspace(0, 2 * np.pi, n, endpoint=False)
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    ends = [np.column_stack([ring, np.full(n, z)]) for z in (0, 1)]
+    head = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {2 * n}\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        f"element face {n + 2}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    k = np.arange(n)
+    sides = np.stack([k, (k + 1) % n, n + (k + 1) % n, n + k], axis=1)
+    faces = [k[::-1], n + k, *sides]
+    body = np.concatenate(ends).astype("<f4").tobytes()
+    body += b"".join(bytes([len(f)]) + f.astype("<i4").tobytes() for f in faces)
+    mesh = load(tmp_path, "a.ply", head.encode() + body).mesh
+    assert len(mesh.faces) == 2 * (n - 2) + 2 * n
+    side = 2 * n * np.sin(np.pi / n)
+    assert area(mesh) == pytest.approx(n * np.sin(2 * np.pi / n) + side, rel=1e-5)
 
 
 SIDES = [(1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5)]
@@ -511,6 +541,8 @@ def test_stl_as_text(tmp_path):
     assert mesh.vertices.shape == (8, 3) and mesh.faces.shape == (12, 3)
     with pytest.raises(ValueError, match="a.stl: is broken or truncated"):
         load(tmp_path, "a.stl", content[: len(content) // 2])
+    named = content.replace(b"solid", "solid Körper".encode(), 1)
+    assert len(load(tmp_path, "a.stl", named).mesh.faces) == 12
     data = bytearray(_bytes(BOX.export(file_type="stl")))
     data[84 + 48] = 7
     with pytest.warns(UserWarning, match="attributes of its triangles"):

@@ -152,6 +152,16 @@ def test_a_texture_that_is_multiplied_by_0(tmp_path):
         near(pf.load_mesh(path).material.diffuse, 1)
 
 
+def test_a_texture_that_is_shown_as_it_is(tmp_path):
+    """With `illum 0` Kd and its texture are emission."""
+    path = write(tmp_path, "Kd 0.5 0.5 0.5\nillum 0\nmap_Kd c.png", c=LEVELS)
+    loaded = pf.load_mesh(path)
+    near(loaded.material.emission, 0.5)
+    near(loaded.material.diffuse, 0)
+    textures = known(loaded.mesh.textures)[0]
+    assert textures.diffuse is None and textures.emission is not None
+
+
 def test_a_specular_map_that_holds_roughness(tmp_path):
     """As nvdiffrec writes it: green is roughness there, and no highlight."""
     lines = "map_Ks c.png\nbsdf   pbr\nKs 0 0.5 0\nmap_Kd c.png"
@@ -308,6 +318,14 @@ def test_parts_of_a_gltf_that_are_not_used_are_listed(tmp_path):
 
 
 MATTE = {"metallicFactor": 0}
+
+
+def test_no_metal_without_the_texture_that_tells_where(tmp_path):
+    rough = {"pbrMetallicRoughness": {"metallicRoughnessTexture": {"index": 0}}}
+    path = gltf(tmp_path, rough, {"rough": LEVELS})
+    (tmp_path / "rough.png").unlink()
+    with pytest.warns(UserWarning, match="metallicFactor of a material, which needs"):
+        near(pf.load_mesh(path).material.diffuse, 1)
 
 
 def test_gltf_textures_that_cannot_be_read(tmp_path):

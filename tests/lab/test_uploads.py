@@ -84,8 +84,8 @@ def test_a_small_file_that_would_fill_the_memory(side):
 
 def test_a_large_photograph_is_shrunk(monkeypatch):
     monkeypatch.setattr(uploads, "MAX_SIDE", 10)
-    image, times = read_photograph("a.png", _png(25, 15, 3), "linear")
-    assert times == 3 and image.shape == (8, 5, 3)
+    image, times, clamps = read_photograph("a.png", _png(25, 15, 3), "linear")
+    assert clamps and times == 3 and image.shape == (8, 5, 3)
     whole, once = uploads._read("a.png", _png(25, 15, 3), _linear), 3
     np.testing.assert_allclose(image[1, 2], whole[3:6, 6:9].mean(axis=(0, 1)), 1e-6)
     mask = np.zeros((25, 15), np.uint8)

@@ -147,7 +147,7 @@ def test_a_disk_that_is_full(maps, images, tmp_path, monkeypatch):
 
 
 def test_masks_noise_and_whole_numbers(tmp_path):
-    """What is given for each pixel goes to the workers by way of the store."""
+    """Arrays of pixels reach the workers by way of the store; one block is empty."""
     levels = np.clip(made().images * 40_000, 0, 65_535).astype(np.uint16)
     path = tmp_path / "stack.zarr"
     written = zarr.create_array(
@@ -156,8 +156,10 @@ def test_masks_noise_and_whole_numbers(tmp_path):
     written.attrs["encoding"] = "linear"
     rng = np.random.default_rng(2)
     mask = rng.uniform(size=(48, 64)) > 0.3
+    inside = np.ones((48, 64), bool)
+    inside[32:, 32:] = False
     options: Any = QUICK | {
-        "mask": [mask, mask, ~mask, mask],
+        "mask": [one & inside for one in (mask, mask, ~mask, mask)],
         "noise": rng.uniform(0.01, 0.02, (48, 64)),
     }
     stored = fit_stored_maps(

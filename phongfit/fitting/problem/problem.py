@@ -124,7 +124,7 @@ class Problem(eqx.Module):
         return member.astype(cost.dtype) @ cost.T
 
     def measure(self, light: Float[Array, "3 samples"]) -> "Evaluation":
-        """An [`Evaluation`][] of the samples for a predicted light before the film."""
+        """`Evaluation` of the samples for a predicted light before the film."""
         noise, deviation = self.noise(), self.deviation()
         film = unclipped_moments(light)
         if self.clamp:

@@ -1,4 +1,4 @@
-"""Materials that pixels share: highlights, while matte light is each pixel's own."""
+"""Shared materials: highlights of several pixels, with separate matte light."""
 
 import dataclasses
 from typing import NamedTuple
@@ -11,15 +11,15 @@ from phongfit.maps.pixel.pixel import Known
 from phongfit.maps.pixel.settings import MapSettings
 
 LOBE = ("specular", "shininess")
-"""What pixels of one material have in common."""
+"""Parameters that pixels of one material share."""
 
 
 class Bases(NamedTuple):
-    r"""K materials.
+    r"""K shared materials.
 
-    - `values`: (K, unknowns), $\log f$ and $\rho_s$, one number or one a channel.
-    - `covariance`: (K, unknowns, unknowns), of each.
-    - `shares`: (K,), of the pixels: they sum to 1.
+    - `values`: (K, unknowns), $\log f$ and $\rho_s$, one number or one per channel.
+    - `covariance`: (K, unknowns, unknowns), of each material.
+    - `shares`: (K,), fractions of the pixels: they sum to 1.
     - `noise`: of a typical sample, in the samples' units.
     """
 
@@ -30,28 +30,28 @@ class Bases(NamedTuple):
 
 
 def held(settings: MapSettings) -> MapSettings:
-    """Settings of a pixel whose highlight is given."""
+    """Settings of a pixel whose highlight is known."""
     own = tuple(name for name in settings.names if name not in LOBE)
     return dataclasses.replace(settings, names=own, one_specular=False, materials=None)
 
 
 def alone(settings: MapSettings) -> MapSettings:
-    """Settings of a pixel with a highlight of its own."""
+    """Settings of a pixel whose highlight is fitted separately."""
     return dataclasses.replace(settings, materials=None)
 
 
 def sought(settings: MapSettings) -> Unknowns:
-    """What of a pixel is sought while its highlight is given."""
+    """Unknowns of a pixel whose highlight is known."""
     return unknowns_of(held(settings))
 
 
 def size_of(settings: MapSettings) -> int:
-    """How many numbers describe a material's highlight."""
+    """Number of unknowns of a material's highlight."""
     return 2 if settings.one_specular else 4
 
 
 def as_known(values: Float[Array, " unknowns"], known: Known) -> Known:
-    """A pixel's known parameters, if it is of a material."""
+    """Known parameters of a pixel of a given material."""
     return known._replace(
         specular=jnp.broadcast_to(values[1:], known.specular.shape),
         shininess=jnp.exp(values[:1]),

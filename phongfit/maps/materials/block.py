@@ -1,4 +1,4 @@
-"""A tile of pixels, each of one of several materials: which, and its normal."""
+"""Fits of a tile's pixels with shared materials: normals and material probabilities."""
 
 from typing import NamedTuple
 
@@ -19,24 +19,24 @@ from phongfit.maps.pixel.samples import Samples, Tile
 from phongfit.maps.pixel.settings import MapSettings
 from phongfit.maps.pixel.tile import in_two_passes
 
-# Share of one material from which on a pixel is told to be of it.
+# Least probability of a material at which a pixel is identified as being of it.
 TOLD = 0.95
-# A material that is less likely says nothing of a pixel's errors.
+# Materials less probable than this do not contribute to a pixel's errors.
 UNLIKELY = 1e-4
 
 
 class Given(NamedTuple):
-    """What all tiles share: lights, and the materials."""
+    """Inputs that all tiles share: lights, and the materials."""
 
     outside: Outside
     bases: Bases
 
 
 class _Try(NamedTuple):
-    """Pixels of one material: what was found, and how likely that is.
+    """Fits of pixels under one material, and terms of its likelihood.
 
-    - `left`: residuals, in `scale`; `log_det`: see [`Reduced`][].
-    - `unsettled`: where a thorough search is wanted.
+    - `left`: residuals; `scale`: their scale; `log_det`: see [`Reduced`][].
+    - `unsettled`: pixels that need a thorough search.
     """
 
     fit: PixelFit
@@ -47,7 +47,7 @@ class _Try(NamedTuple):
 
 
 def fit_shared(tile: Tile, given: Given, settings: MapSettings) -> PixelFit:
-    """The normal, matte light and material of every pixel of a tile, block by block."""
+    """Fit normal, matte light and material of a tile's pixels, block by block."""
     return in_two_passes(
         tile, lambda part, thorough: _fit_block(part, given, thorough, settings)
     )
@@ -56,7 +56,7 @@ def fit_shared(tile: Tile, given: Given, settings: MapSettings) -> PixelFit:
 def _fit_block(
     tile: Tile, given: Given, thorough: Bool[Array, ""], settings: MapSettings
 ) -> tuple[PixelFit, Bool[Array, " pixels"]]:
-    """As [`phongfit.maps.normals.block.fit_block`][]."""
+    """Fit one block; see [`phongfit.maps.normals.block.fit_block`][]."""
     outside, bases = given
     own, which = held(settings), sought(settings)
     samples, lost = samples_of(tile, outside, settings)
@@ -70,13 +70,14 @@ def _fit_block(
         return _Try(fit, found.left, found.scale, log_det, unsettled)
 
     tries = jax.lax.map(attempt, (bases.values, bases.covariance))
-    # One scale for all: that of the best, and of a few samples not below all others'.
+    # Likelihoods are compared at one scale: that of the best material, but at least the
+    # noise of a typical pixel, since few samples may have small residuals by chance.
     scale = tries.scale[0]
     if not settings.noise_given:
         level = jnp.min(tries.fit.noise, axis=0)
         scale = jnp.maximum(level, bases.noise)
     relative = tries.left / scale[None, None, None]
-    # The determinant is of two unknowns, in another scale.
+    # The determinant of two unknowns, converted to that scale.
     log_det = tries.log_det + 4 * jnp.log(tries.scale / scale[None])
     cost = jnp.sum(settings.loss.root(relative) ** 2, axis=(1, 2))
     share = jnp.log(jnp.maximum(bases.shares, jnp.finfo(cost.dtype).tiny))
@@ -91,7 +92,7 @@ def _inherited(
     covariance: Float[Array, "unknowns unknowns"],
     settings: MapSettings,
 ) -> tuple[PixelFit, Float[Array, " pixels"]]:
-    """Errors that contain the material's; and how well the normal is known."""
+    """Add the material's errors to a pixel's, and return the normal's `log_det`."""
     which, mine = unknowns_of(settings), sought(settings)
     point = found.point
     whole = point
@@ -124,7 +125,7 @@ def _inherited(
 
 
 def _chosen(fits: PixelFit, odds: Float[Array, "materials pixels"]) -> PixelFit:
-    """Each pixel's likeliest material, with errors that reach as far as the others."""
+    """The most probable material of each pixel, with errors that cover the others."""
     best = jnp.argmax(odds, axis=0)
 
     def pick(leaf: Array) -> Array:
@@ -144,7 +145,7 @@ def _chosen(fits: PixelFit, odds: Float[Array, "materials pixels"]) -> PixelFit:
     off = jnp.rad2deg(jnp.arccos(jnp.clip(cosine, -1, 1)))
     error = spread(fits.normals_stderr, jnp.where(cosine > 1 - 1e-6, 0, off))
     told = jnp.max(odds, axis=0) >= TOLD
-    # Of what has no normal nothing else is known.
+    # Without an identified normal, no other unknown is identified.
     lost = ~jnp.isfinite(error)
     errors = {}
     for name, each in fits.stderr.items():

@@ -1,4 +1,4 @@
-"""Which materials an object has, from a sample of its pixels."""
+"""Estimates of an object's materials from a sample of its pixels."""
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import Executor
@@ -18,21 +18,21 @@ from phongfit.maps.pixel.samples import Tile
 from phongfit.maps.pixel.settings import MOST_MATERIALS, MapSettings
 from phongfit.maps.pixel.tile import BLOCK
 
-# Pixels of a sample: as many as these lights, within limits.
+# Number of pixels of a sample times number of images, and limits of the former.
 LIGHT = 2**17
 FEWEST, MOST = 1024, 4096
-# Exponents that a pixel is tried with, from this one on unless it is out of bounds.
+# Number of exponents in the table of costs, and the lowest, unless it is out of bounds.
 EXPONENTS, BROADEST = 14, 1.5
 PATIENCE = 2
-"""So many more materials than the best number are tried before it is believed."""
+"""Number of materials beyond the best number that are tried before the search ends."""
 
 
 class Materials(NamedTuple):
     """The materials of an object.
 
-    - `bases`: none where matte light alone explains the sample best.
+    - `bases`: empty if matte light alone explains the sample best.
     - `criterion`: BIC of 1, 2, … materials.
-    - `sample`: how many pixels told so.
+    - `sample`: number of pixels in the sample.
     """
 
     bases: Bases
@@ -41,7 +41,7 @@ class Materials(NamedTuple):
 
 
 def choose_sample(pixels: Int[np.ndarray, " n"], images: int) -> np.ndarray:
-    """Some pixels, from all over the object; the same whenever they are asked for."""
+    """Random pixels from all over the object, reproducible for equal arguments."""
     wanted = int(np.clip(LIGHT // images, FEWEST, MOST))
     if len(pixels) <= wanted:
         return pixels
@@ -56,12 +56,12 @@ def find_materials(
     settings: MapSettings,
     workers: Executor,
 ) -> Materials:
-    """The materials of a sample: how many, their exponents and strengths.
+    """Estimate the materials of a sample: their number, exponents and ρ_s.
 
     **Arguments:**
 
-    - `tile`: the sample, of which so many `pixels` are no padding.
-    - `workers`: blocks are worked on side by side.
+    - `tile`: the sample; `pixels`: their number without padding.
+    - `workers`: threads that work on blocks in parallel.
 
     **Raises:** `ValueError` if no pixel of the sample can be used.
     """
@@ -95,7 +95,7 @@ def find_materials(
 
 
 class _Sample:
-    """Blocks of sampled pixels, and where each was found under which material."""
+    """Blocks of sampled pixels, and their fitted points under each exponent."""
 
     def __init__(
         self,
@@ -124,21 +124,21 @@ class _Sample:
         count = np.concatenate([np.asarray(block.used) for block in self._blocks])
         given = settings.noise_given
         self.noise = float(outside.noise if given else np.median(level[sound]))
-        # Exact data leave nothing.
+        # Exact data have no residuals, but the noise must be positive.
         bright = np.median(
             [float(jnp.max(abs(b.samples.target))) for b in self._blocks]
         )
         self.noise = max(self.noise, 1e-6 * bright)
         freedom = np.maximum(count - settings.unknowns(), 1)
         worse = (level / self.noise) ** 2
-        # A pixel that no material of its own describes counts for less.
+        # Pixels with lack of fit even under a separate material get less weight.
         wrong = worse > np.asarray(most_by_chance(jnp.asarray(freedom)))
         scale = self.noise * np.where(wrong, np.sqrt(worse), 1)
         self._scales = np.split(scale.astype(level.dtype), len(self._blocks))
         self._rows: list[list[Point]] = []
 
     def table(self) -> Table:
-        """Costs of all pixels under a row of exponents."""
+        """Costs of all pixels at a series of exponents."""
         low, high = self._settings.log_bounds
         first = max(low, min(np.log(BROADEST), high))
         exponents = np.linspace(first, high, EXPONENTS if high > first else 1)
@@ -165,7 +165,7 @@ class _Sample:
         return Table(exponents, cost, strength, curvature)
 
     def maximize(self, values: np.ndarray, rows: np.ndarray) -> Mixture:
-        """The best materials from a first guess, which is near rows of the table."""
+        """The best materials from start values, which are near rows of the table."""
         look = self._look([list(self._rows[row]) for row in rows])
         settings = self._settings
         low, high = settings.bound("specular")
@@ -178,7 +178,10 @@ class _Sample:
         return maximize(values.clip(*edges), look, edges)
 
     def _look(self, starts: list[list[Point]]) -> Callable[[int, np.ndarray], Told]:
-        """A function that fits the pixels under a material, from their last fit on."""
+        """A function that fits the pixels under a material, starting from the last fit.
+
+        **Arguments:** `starts`: start points for each material and block.
+        """
 
         def look(material: int, values: np.ndarray) -> Told:
             def one(number: int) -> Look:
@@ -209,13 +212,13 @@ class _Sample:
         return look
 
     def matte(self) -> float:
-        """BIC of no highlight at all."""
+        """BIC of a fit without highlights."""
         values = np.zeros((1, size_of(self._settings)))
         nothing = np.zeros(values.shape[1])
         look = self._look([list(self._rows[0])])
         return maximize(values, look, (nothing, nothing), free=0).criterion
 
     def _joined(self, parts: Iterable[Any]) -> np.ndarray:
-        """Of all blocks, the pixels first, without those that cannot be used."""
+        """Arrays of all blocks joined, pixels first, without unusable pixels."""
         whole = np.concatenate([np.asarray(part, float) for part in parts], axis=-1)
         return np.moveaxis(whole[..., self._sound], -1, 0)

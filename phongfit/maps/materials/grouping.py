@@ -1,7 +1,7 @@
-"""A first guess at materials: pixels that agree on an exponent and a strength.
+"""Start values of materials: groups of pixels that agree on an exponent and a ρ_s.
 
-Costs of all pixels under a row of exponents are a table, in which groups are sought as
-k-means does it, from many beginnings.
+The costs of all pixels at a series of exponents form a table. Groups are found in it as
+by k-means, from many starts.
 
 ??? cite "Source"
     Lloyd, *Least squares quantization in PCM*, IEEE Trans. Inf. Theory 28(2), 1982;
@@ -13,16 +13,16 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-# By how much a pixel's cost may rise at most: what lies further off is an outlier.
+# Largest increase of a pixel's cost: pixels further from every group are outliers.
 FARTHEST = 30.0
 BEGINNINGS = 12
 ROUNDS = 20
-# Shares of the pixels that are less bright: strengths to begin with.
+# Quantiles of the pixels' ρ_s that are tried as start values.
 QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)
 
 
 class Table(NamedTuple):
-    r"""Costs $c + h (\rho_s - \hat\rho_s)^2$ of pixels under each exponent.
+    r"""Costs $c + h (\rho_s - \hat\rho_s)^2$ of pixels at each exponent.
 
     - `log_exponents`: (exponents,).
     - `cost` $c$, `strength` $\hat\rho_s$, `curvature` $h$: (exponents, pixels).
@@ -36,9 +36,9 @@ class Table(NamedTuple):
     def under(
         self, exponent: np.ndarray, strength: np.ndarray
     ) -> Float[np.ndarray, "groups pixels"]:
-        """By how much pixels cost more than at their best, under some materials.
+        """Increase of the pixels' costs from their lowest, under some materials.
 
-        **Arguments:** `exponent`: numbers of rows; `strength`: ρ_s; both (groups,).
+        **Arguments:** `exponent`: row numbers; `strength`: ρ_s; both (groups,).
         """
         off = strength[:, None] - self.strength[exponent]
         cost = self.cost[exponent] + self.curvature[exponent] * off**2
@@ -46,7 +46,7 @@ class Table(NamedTuple):
 
 
 class Groups(NamedTuple):
-    """Materials as rows of a [`Table`][] and strengths, and what all pixels cost."""
+    """Materials as rows of a [`Table`][] and ρ_s, with the total cost of all pixels."""
 
     exponent: np.ndarray
     strength: np.ndarray
@@ -54,9 +54,9 @@ class Groups(NamedTuple):
 
 
 def group(table: Table, count: int, highest: float) -> Groups:
-    """The best of several ways to put pixels in so many groups.
+    """The best of several groupings of the pixels into `count` groups.
 
-    **Arguments:** `highest`: the largest ρ_s that there may be.
+    **Arguments:** `highest`: upper bound of ρ_s.
     """
     rng = np.random.default_rng(count)
     tried = [
@@ -69,7 +69,10 @@ def group(table: Table, count: int, highest: float) -> Groups:
 def _begin(
     table: Table, count: int, highest: float, rng: np.random.Generator, greedy: bool
 ) -> Groups:
-    """One material after the other: what lowers the cost most, or by chance so much."""
+    """Start groups, chosen one by one: the one that lowers the cost most, or at random.
+
+    The probability of a random choice is proportional to the squared decrease.
+    """
     levels = np.quantile(table.strength, QUANTILES, axis=1).T.clip(0, highest)
     levels = np.concatenate([levels, np.zeros((len(levels), 1))], axis=1)
     exponent = np.repeat(np.arange(len(levels)), levels.shape[1])
@@ -89,7 +92,7 @@ def _begin(
 
 
 def _settle(table: Table, groups: Groups, highest: float) -> Groups:
-    """Pixels to their nearest group, groups to the middle of their pixels, in turn."""
+    """Alternate between assigning pixels to groups and refitting the groups."""
     for _ in range(ROUNDS):
         costs = table.under(groups.exponent, groups.strength)
         nearest, total = costs.argmin(axis=0), float(costs.min(axis=0).sum())
@@ -97,7 +100,7 @@ def _settle(table: Table, groups: Groups, highest: float) -> Groups:
             break
         exponent, strength = groups.exponent.copy(), groups.strength.copy()
         for k in range(len(exponent)):
-            # What is far off any group has no say.
+            # Outliers must not move a group.
             members = (nearest == k) & (costs[k] < FARTHEST)
             if members.any():
                 exponent[k], strength[k] = _middle(table, members, highest)
@@ -106,7 +109,7 @@ def _settle(table: Table, groups: Groups, highest: float) -> Groups:
 
 
 def _middle(table: Table, members: np.ndarray, highest: float) -> tuple[int, float]:
-    """The exponent and strength at which some pixels cost least."""
+    """The exponent's row and the ρ_s of lowest total cost for some pixels."""
     h, s = table.curvature[:, members], table.strength[:, members]
     weight = h.sum(axis=1)
     mean = (h * s).sum(axis=1) / np.where(weight > 0, weight, 1)

@@ -1,4 +1,4 @@
-"""Blocks of sampled pixels, looked at with a material that is given: compiled once."""
+"""Fits of blocks of sampled pixels under a given material, compiled once."""
 
 import dataclasses
 import functools
@@ -29,7 +29,7 @@ from phongfit.maps.pixel.samples import Samples, Tile
 from phongfit.maps.pixel.settings import MapSettings
 from phongfit.maps.pixel.small import KEEP_BARRIERS, curvatures
 
-# Points that are looked at from a start nearby, and how little the last step matters.
+# Maximum number of evaluated points from a start nearby, and limits of convergence.
 STEPS = 12
 ROUGH, FINE = 0.1, 1e-4
 
@@ -39,10 +39,10 @@ compiled = functools.partial(
 
 
 class Alone(NamedTuple):
-    """Pixels with a highlight of their own, one ρ_s for the channels.
+    """Fits of pixels with separate highlights and one ρ_s for all channels.
 
-    - `level`: size of the residuals a degree of freedom.
-    - `used`: how many samples are; `sound`: whether the pixel can be relied on.
+    - `level`: root mean square of the residuals per degree of freedom.
+    - `used`: number of samples in use; `sound`: whether the pixel is reliable.
     """
 
     samples: Samples
@@ -54,7 +54,7 @@ class Alone(NamedTuple):
 
 @compiled
 def fit_alone(tile: Tile, outside: Outside, settings: MapSettings) -> Alone:
-    """What pixels find on their own."""
+    """Fit each pixel with a separate highlight."""
     settings = dataclasses.replace(settings, one_specular=True)
     samples, _ = samples_of(tile, outside, settings)
     which = unknowns_of(settings)
@@ -72,7 +72,7 @@ def fit_alone(tile: Tile, outside: Outside, settings: MapSettings) -> Alone:
 
 
 class Row(NamedTuple):
-    r"""Pixels under one exponent: their costs are $c + h (\rho_s - \hat\rho_s)^2$."""
+    r"""Pixels at one exponent, with costs $c + h (\rho_s - \hat\rho_s)^2$."""
 
     point: Point
     cost: Float[Array, " pixels"]
@@ -88,7 +88,7 @@ def fit_row(
     log_exponent: Float[Array, ""],
     settings: MapSettings,
 ) -> Row:
-    """All else adapted to an exponent, from a start."""
+    """Fit all other unknowns at an exponent, from a start."""
     settings = dataclasses.replace(settings, one_specular=True)
     which = unknowns_of(settings)._replace(exponent=False)
     t = jnp.full_like(start.log_exponent, log_exponent)
@@ -103,11 +103,11 @@ def fit_row(
 
 
 class Look(NamedTuple):
-    """Pixels under one material: what they tell of it.
+    """Fits of pixels under one material, with gradient and curvature of its unknowns.
 
-    - `pull`, `curvature`, `log_det`: as [`Reduced`][] has them; the pull without what
-        normals that err take from it.
-    - `kept`, `steepness`: sums over the samples of a loss's weights, and of the slope
+    - `pull`, `curvature`, `log_det`: as in [`Reduced`][]; the pull is corrected for the
+        bias by errors of the normals.
+    - `kept`, `steepness`: sums over the samples of the loss's weights, and of the slope
         of weight times residual.
     """
 
@@ -129,7 +129,7 @@ def look_at(
     known: Known,
     settings: MapSettings,
 ) -> Look:
-    """All that is a pixel's own adapted to a material, from a start."""
+    """Fit each pixel's own unknowns under a material, from a start."""
     mine, which = sought(settings), unknowns_of(settings)
     given = as_known(values, known)
     begin = start._replace(
@@ -164,11 +164,11 @@ def look_at(
 
 
 def _strayed(loss: AbstractLoss) -> Float[Array, ""]:
-    r"""What a loss makes of a bias that is reckoned as if it were least squares'.
+    r"""Factor from the bias under least squares to the bias under a robust loss.
 
-    $E\,\psi^2 \, E\,w / E\,\psi'$ of normal residuals: estimates spread by
-    $E\,\psi^2 / (E\,\psi')^2$, residuals are pulled back by $E\,\psi'$, and the sums'
-    weights are $E\,w$ of all.
+    It is $E\,\psi^2 \, E\,w / E\,\psi'$ for normal residuals: the variance of estimates
+    has a factor of $E\,\psi^2 / (E\,\psi')^2$, the gradient one of $E\,\psi'$, and the
+    weights of the sums have the mean $E\,w$.
     """
     r = jnp.linspace(-8, 8, 401)
     density = jnp.exp(-(r**2) / 2)
@@ -185,11 +185,11 @@ def _bent(
     samples: Samples,
     settings: MapSettings,
 ) -> Samples:
-    r"""Samples whose residuals are the mean light of normals that err, less the light.
+    r"""Samples whose residuals are the bias of the light by errors of the normals.
 
-    A highlight bends: the mean over all normals within the error of a pixel's is lower
-    than the light at their mean, by $\tfrac12 \operatorname{tr} V \mu''$. What a
-    pixel finds is therefore off on average, and thousands of pixels alike.
+    A highlight is curved: its mean over the normals within a pixel's error differs from
+    the light at the mean normal by $\tfrac12 \operatorname{tr} V \mu''$. The estimates
+    of pixels are therefore biased, and the bias of thousands of pixels does not cancel.
 
     ??? cite "Source"
         Box, *Bias in nonlinear estimation*, J. R. Stat. Soc. B 33(2), 1971.

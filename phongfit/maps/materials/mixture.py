@@ -1,9 +1,10 @@
-r"""Materials by maximum likelihood: each pixel is of one, and nobody knows of which.
+r"""Materials by maximum likelihood, where each pixel is of one unknown material.
 
-Expectation and maximisation in turn: how likely a pixel is of each material, and the
-materials by Gauss-Newton steps that all pixels share, $\sum_p r_{pk} H_p$. Of which a
-pixel is, its normal is integrated over by Laplace's approximation: a material is not
-preferred for leaving less to the normal.
+Expectation-maximisation alternates between the probability of each material in each
+pixel, and Gauss-Newton steps of the materials with the weighted sum over all pixels,
+$\sum_p r_{pk} H_p$. For the probabilities, the normal is integrated over by Laplace's
+approximation, so that a material is not preferred because it determines the normal
+less.
 
 ??? cite "Source"
     Dempster, Laird and Rubin, *Maximum likelihood from incomplete data via the EM
@@ -21,19 +22,20 @@ from jaxtyping import Float
 
 from phongfit.fitting.uncertainty.identifiability import SEEN, stands_out
 
-# Rounds of the search, and the square of a step, in standard errors, that ends it.
+# Maximum number of rounds, and the square of a step in standard errors that ends them.
 ROUNDS = 30
 SMALL = 1e-3
-# No step is longer, in log f and in ρ_s.
+# Longest steps in log f and in ρ_s.
 LONGEST = np.array([0.5, 0.2, 0.2, 0.2])
-# A standard error of log f from which on f is not identified.
+# Standard error of log f above which f is not identified.
 LOST = 1.0
 
 
 class Told(NamedTuple):
-    """What each pixel tells of one material: see [`Reduced`][].
+    """Cost, gradient and curvature of each pixel for one material: see [`Reduced`][].
 
-    The loss's slope is `steepness` times as steep as its weights say.
+    `steepness` is the ratio of the mean slope of weight times residual to the mean
+    weight of the loss.
     """
 
     cost: Float[np.ndarray, " pixels"]
@@ -44,10 +46,10 @@ class Told(NamedTuple):
 
 
 class Mixture(NamedTuple):
-    r"""K materials, and how well they explain the pixels.
+    r"""K materials, and their likelihood.
 
     - `values`: (K, unknowns), $\log f$ and $\rho_s$.
-    - `shares`: (K,), of the pixels.
+    - `shares`: (K,), fractions of the pixels.
     - `log_likelihood`: of all pixels.
     - `criterion`: BIC; less is better.
     - `covariance`: (K, unknowns, unknowns), of each material.
@@ -62,7 +64,7 @@ class Mixture(NamedTuple):
     converged: bool
 
     def none(self) -> "Mixture":
-        """No material of these."""
+        """The mixture without any material."""
         return self._replace(
             values=self.values[:0],
             shares=self.shares[:0],
@@ -76,13 +78,13 @@ def maximize(
     edges: tuple[np.ndarray, np.ndarray],
     free: int | None = None,
 ) -> Mixture:
-    """The best materials from a first guess.
+    """Maximise the likelihood of materials from start values.
 
     **Arguments:**
 
-    - `look`: the number of a material and its values → what pixels tell of it.
+    - `look`: function from a material's number and values to the pixels' `Told`.
     - `edges`: low and high of each unknown.
-    - `free`: how many numbers are fitted; default all, and shares.
+    - `free`: number of fitted numbers, for BIC; default: all values and the shares.
     """
     count, unknowns = values.shape
     shares = np.full(count, 1 / count)
@@ -120,7 +122,7 @@ def maximize(
 def _odds(
     told: list[Told], shares: np.ndarray
 ) -> tuple[Float[np.ndarray, "materials pixels"], float]:
-    """How likely each pixel is of each material, and the likelihood of all."""
+    """Probability of each material in each pixel, and the total log-likelihood."""
     with np.errstate(divide="ignore"):
         share = np.log(shares)
     logs = np.stack(
@@ -139,10 +141,10 @@ def _summed(odds: np.ndarray, told: Told) -> np.ndarray:
 def _covariance(
     told: list[Told], odds: np.ndarray, values: np.ndarray
 ) -> Float[np.ndarray, "materials unknowns unknowns"]:
-    """Covariance of each material, a sandwich over the pixels.
+    """Covariance of each material, by a sandwich estimate over the pixels.
 
-    It is infinite for an exponent that is not identified, as of a highlight that does
-    not stand out.
+    The variance of an exponent that is not identified is infinite, for example if the
+    highlight is not significant.
     """
     count, unknowns = len(told), told[0].pull.shape[1]
     size = count * unknowns

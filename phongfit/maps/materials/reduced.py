@@ -1,4 +1,4 @@
-r"""What pixels tell of a material once all that is theirs alone has adapted.
+r"""Normal equations of a material after elimination of each pixel's own unknowns.
 
 With u a pixel's own unknowns (normal, matte light) and θ those of its material,
 $H = H_{\theta\theta} - H_{\theta u} H_{uu}^{-1} H_{u\theta}$, as in bundle adjustment.
@@ -19,22 +19,23 @@ from phongfit.maps.normals.unknowns import Unknowns
 from phongfit.maps.pixel.small import Numbers, dot, factorize
 
 STRENGTH = EXPONENT + 1
-"""Place of a shared ρ_s among the unknowns that the channels share: after log f."""
+"""Index of a shared ρ_s among the unknowns that the channels share: after log f."""
 
 
 class Column(NamedTuple):
-    """Products of one of a material's unknowns with a pixel's own."""
+    """Products of one unknown of a material with a pixel's own unknowns."""
 
     own: Numbers
     shared: Numbers
 
 
 class Parts(NamedTuple):
-    """Sums of everything, taken apart.
+    """Sums of all unknowns, separated into those of pixels and of their material.
 
-    - `pixel`: of a pixel's own unknowns.
-    - `columns`: of each of the material's unknowns with those.
-    - `curvature`: of the material's, (unknowns, unknowns, pixels); `pull`: of these.
+    - `pixel`: sums of a pixel's own unknowns.
+    - `columns`: products of each of the material's unknowns with a pixel's own.
+    - `curvature`: matrix of the material's unknowns, (unknowns, unknowns, pixels);
+        `pull`: their gradient.
     """
 
     pixel: Sums
@@ -44,10 +45,11 @@ class Parts(NamedTuple):
 
 
 class Reduced(NamedTuple):
-    """What pixels tell of a material.
+    """Each pixel's gradient and curvature of its material's unknowns.
 
     - `pull`, `curvature`: of log f and ρ_s, as in [`Parts`][].
-    - `adapting`: how each pixel's own unknowns follow, with the opposite sign.
+    - `adapting`: change of each pixel's own unknowns per unit of the material's, with
+        the opposite sign.
     - `log_det`: logarithm of the determinant of the normal's curvature.
     """
 
@@ -58,9 +60,9 @@ class Reduced(NamedTuple):
 
 
 def take_apart(sums: Sums, which: Unknowns) -> Parts:
-    """Sums of all unknowns into a pixel's own and those of its material.
+    """Separate the sums of all unknowns into a pixel's own and its material's.
 
-    **Arguments:** `which`: all unknowns, log f among them, and ρ_s.
+    **Arguments:** `which`: all unknowns, including log f and ρ_s.
     """
     n_own = len(which.own) - (not which.one_specular)
     pixel = Sums(
@@ -89,7 +91,7 @@ def take_apart(sums: Sums, which: Unknowns) -> Parts:
         return Parts(pixel, tuple(columns), curvature, pull)
     strength = sums.own[n_own]
     channels = strength[-1].shape[0]
-    # Each channel's ρ_s is a number of its own, and meets no other channel.
+    # Each channel has a separate ρ_s, which has no products with other channels.
     for channel in range(channels):
         mine = (jnp.arange(channels) == channel)[:, None]
         own = tuple(jnp.where(mine, entry, 0) for entry in strength[:n_own])
@@ -107,7 +109,7 @@ def take_apart(sums: Sums, which: Unknowns) -> Parts:
 
 
 def reduce(parts: Parts, free: Free) -> Reduced:
-    """Let a pixel's own unknowns adapt, those that are free."""
+    """Eliminate the free ones of a pixel's own unknowns."""
     still = jnp.zeros_like(parts.pixel.cost)
 
     def adapted(column: Column) -> Move:
@@ -138,8 +140,8 @@ def reduce(parts: Parts, free: Free) -> Reduced:
 def turns(sums: Sums, free: Free) -> tuple[Move, Move]:
     """Two steps of a pixel's own unknowns whose squares sum to its covariance.
 
-    Of the normal's part, with matte light adapted; what is matte light's alone bends
-    nothing.
+    They cover the covariance of the normal, with matte light adapted. Errors of matte
+    light alone are left out, since light is linear in it.
 
     **Arguments:** `sums`: of a pixel's own unknowns.
     """

@@ -1,4 +1,4 @@
-"""A tile of pixels whose normals are sought: arrays in, arrays out, no state."""
+"""Fits of normals and materials of a tile, as pure functions of arrays."""
 
 import jax
 import jax.numpy as jnp
@@ -19,9 +19,9 @@ from phongfit.maps.pixel.tile import in_two_passes
 
 
 def fit_normals(tile: Tile, outside: Outside, settings: MapSettings) -> PixelFit:
-    """The normal and the material of every pixel of a tile, block by block.
+    """Fit the normal and the material of every pixel of a tile, block by block.
 
-    **Arguments:** as of [`fit_tile`][]; the tile's normals are not read.
+    **Arguments:** as for [`fit_tile`][]; the tile's normals are not read.
     """
     return in_two_passes(
         tile, lambda part, thorough: fit_block(part, outside, thorough, settings)
@@ -31,11 +31,11 @@ def fit_normals(tile: Tile, outside: Outside, settings: MapSettings) -> PixelFit
 def fit_block(
     tile: Tile, outside: Outside, thorough: Bool[Array, ""], settings: MapSettings
 ) -> tuple[PixelFit, Bool[Array, " pixels"]]:
-    """The same for pixels that are worked on side by side.
+    """Fit the normals and materials of one block of pixels.
 
-    **Arguments:** `thorough`: whether to do whatever helps.
+    **Arguments:** `thorough`: whether to search thoroughly instead of fast.
 
-    **Returns:** what was found, and for which pixels the thorough way is wanted.
+    **Returns:** the fit, and the pixels that need a thorough search.
     """
     which = unknowns_of(settings)
     samples, lost = samples_of(tile, outside, settings)
@@ -47,14 +47,16 @@ def fit_block(
 def samples_of(
     tile: Tile, outside: Outside, settings: MapSettings
 ) -> tuple[Samples, Float[Array, "#images #pixels"]]:
-    """What pixels measure, and how many samples in an image are no numbers."""
+    """Samples of a tile, and the number of samples per image that are not finite."""
     seen = tile.visibility
     if seen is not None and seen.shape[1] == 1:
-        # One lamp's light arrives or does not: its shadow need not be in the light.
+        # With one light per image, shadowed samples are removed below, so that the
+        # visibility is not needed as a factor on the light.
         tile = tile._replace(visibility=None)
     samples, lost = measured(tile, outside.lighting, settings)
     if seen is not None:
-        # In shadow there is only what bounced, of which no model knows.
+        # In shadow there is only reflected light of other surfaces, which is not
+        # modelled.
         directed = outside.lighting.directed[..., None]
         reached = jnp.any(directed & (seen > 0), axis=1, keepdims=True)
         reached = reached | ~np.any(directed, axis=1, keepdims=True)
@@ -72,7 +74,7 @@ def judged(
     which: Unknowns,
     thorough: Array | bool = True,
 ) -> tuple[PixelFit, Bool[Array, " pixels"]]:
-    """Errors and flags of what was found, and where a thorough search is wanted."""
+    """Add errors and flags to a result, and mark pixels for a thorough search."""
     point = found.point
     level, unit, misfit = _noise_left(found, samples, outside, settings)
     edges = edges_of(settings, which)
@@ -148,9 +150,9 @@ def _noise_left(
     outside: Outside,
     settings: MapSettings,
 ) -> tuple[Array, Array, Array]:
-    """The residuals' size, what errors are multiples of, and where noise is too small.
+    """The noise level of the residuals, the unit of the errors, and flags of misfit.
 
-    The second is in units of the scale that the search measured residuals in.
+    The unit of the errors is in units of the search's scale of the residuals.
     """
     unknowns, noise = settings.unknowns(), outside.noise
     left, used = found.left, samples.share > 0
@@ -170,7 +172,7 @@ def _noise_left(
         unit = jax.vmap(widened, in_axes=-1)(relative, used)
         weight = jnp.where(used, settings.loss.weight(relative), 0)
         kept = jnp.sum(weight, axis=(0, 1)) / jnp.maximum(count, 1)
-        # The sums' weights stand for less than all samples.
+        # The sums are of weighted samples, so their inverse overestimates the variance.
         unit = (jnp.maximum(unit, 1) if settings.noise_given else unit) * jnp.sqrt(kept)
     if not settings.noise_given:
         return level, unit * level / found.scale, jnp.zeros(level.shape, bool)

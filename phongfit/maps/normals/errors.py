@@ -1,4 +1,4 @@
-"""From sums at the solution to standard errors, and to what they cannot say."""
+"""Standard errors of normals and materials from sums at the solution, and flags."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -22,29 +22,29 @@ from phongfit.maps.pixel.small import (
     solve,
 )
 
-# A normal whose error is larger, in degrees, is not identified: its model bends.
+# Largest error of an identified normal, in degrees: the model is not linear beyond.
 WIDEST = 20.0
-# A standard error of log f from which on the model bends within it, and one beyond
-# which f is not identified.
+# Standard errors of log f: from VAGUE on, the model is not linear within the error;
+# beyond LOST, f is not identified.
 VAGUE = 0.08
 LOST = 1.0
-# Standard errors at which the model is looked at again where it bends.
+# Distance of the profile's exponents from the estimate, in standard errors.
 FAR = 2.0
-# Share of the lamps' light across a plane, squared, below which they lie in it.
+# Squared fraction of the lights' vectors across a plane below which they lie in it.
 FLAT = 3e-4
-# Another normal explains a pixel as well if its cost is higher by less: two standard
-# errors.
+# A pixel is ambiguous if the cost of another normal is higher by less than this, which
+# is two standard errors.
 AS_GOOD = 4.0
 
 
 class Errors(NamedTuple):
-    """Standard errors, infinite for what is not identified.
+    """Standard errors of normals and materials; infinite if not identified.
 
     - `normal`: root mean square angle, in degrees.
-    - `own`: of the reflectances that each channel has, (channels, pixels) each.
+    - `own`: of each channel's own reflectances, (channels, pixels) each.
     - `specular`: of a shared ρ_s, and `exponent`, of f.
     - `dim`, `degenerate`, `in_a_plane`, `ambiguous`, `at_bound`: see [`Flag`][].
-    - `settled`: whether the profile is the best that there is.
+    - `settled`: whether the fits of the profile have converged.
     """
 
     normal: Float[Array, " pixels"]
@@ -60,10 +60,10 @@ class Errors(NamedTuple):
 
 
 class Profile(NamedTuple):
-    """The best of all else at two other exponents, one lower and one higher.
+    """The best points at a lower and at a higher exponent.
 
-    - `points`: with a new first axis; `rises`: (2, pixels), by how much they cost more.
-    - `settled`: whether they are the best.
+    - `points`: with a new first axis; `rises`: (2, pixels), their increase of the cost.
+    - `settled`: whether the fits have converged.
     """
 
     points: Point
@@ -72,7 +72,7 @@ class Profile(NamedTuple):
 
 
 class Spread(NamedTuple):
-    """Standard errors in units of the noise: of own and of shared unknowns."""
+    """Standard errors of own and of shared unknowns, in units of the noise."""
 
     own: Numbers
     shared: Numbers
@@ -90,21 +90,24 @@ def standard_errors(
 ) -> Errors:
     r"""Errors from $\sigma^2 (J^\top W J)^{-1}$, with no unknown held by its bound.
 
-    Where the exponent is vague, the model bends within its error: there errors reach at
-    least as far as the profile, which holds the exponent and has all else adapt.
+    If the error of the exponent is large, the model is not linear within it. Errors
+    then reach at least as far as the profile, for which all other unknowns are fitted
+    at fixed exponents.
 
     **Arguments:**
 
     - `point`, `sums`: the solution.
-    - `sigma`: what the sums' unit of noise is to be multiplied by.
-    - `rival`: by how much another normal is worse.
-    - `follow`: the profile at log exponents, (2, pixels), of some of the pixels.
+    - `sigma`: factor from the sums' unit of noise to the noise.
+    - `rival`: by how much the cost of another normal is higher.
+    - `follow`: function from log exponents, (2, pixels), and flags of pixels to the
+        profile of these pixels.
     """
     everything = _all(sums)
     spread = _spread(sums, everything)
     dim = jnp.zeros(sigma.shape, bool)
     if which.exponent:
-        # Without a highlight the exponent may be anything.
+        # Without a highlight any exponent is possible: errors are then those at a fixed
+        # exponent.
         shared = list(everything.shared)
         shared[EXPONENT] = jnp.zeros_like(shared[EXPONENT])
         apart = _spread(sums, everything._replace(shared=tuple(shared)))
@@ -147,7 +150,7 @@ def standard_errors(
     normal = jnp.where(unknown, jnp.inf, normal)
 
     def told(error: Array, edge: tuple[float, float]) -> Array:
-        # Reflectances are seen through the normal.
+        # Reflectances are identified only if the normal is.
         low, high = edge
         where = unknown.reshape((1,) * (error.ndim - 1) + unknown.shape)
         return jnp.where(where | ~(error <= high - low), jnp.inf, error)
@@ -181,7 +184,7 @@ def standard_errors(
 
 
 class _Widths(NamedTuple):
-    """Errors of the normal in degrees, of ρ and of f, and whether f has no end."""
+    """Errors of the normal in degrees, of ρ and of f; whether f has no upper limit."""
 
     normal: Array
     own: Numbers
@@ -198,11 +201,11 @@ def _widened(
     which: Unknowns,
     edges: Edges,
 ) -> _Widths:
-    """Errors that reach as far as a profile: its way over the root of its rise."""
+    """Widen errors to those of a profile: its distance over the root of its rise."""
     rises = jnp.maximum(profile.rises, 0) / sigma[None] ** 2
     for side, rise in enumerate(rises):
         there = Point(*(leaf[side] for leaf in profile.points))
-        # No less than at a tenth of the rise expected: beyond it is open.
+        # A rise below a tenth of the expected one is clipped; f is then open-ended.
         share = 1 / jnp.sqrt(jnp.maximum(rise, FAR**2 / 10))
         turned = point.normal - there.normal
         turn = jnp.rad2deg(jnp.sqrt(jnp.sum(turned**2, axis=0)))
@@ -248,7 +251,7 @@ def _all(sums: Sums) -> Free:
 
 
 def _spread(sums: Sums, free: Free) -> Spread:
-    """Roots of the diagonal of the inverse, of what is free; infinite where hidden."""
+    """Square roots of the inverse's diagonal for free unknowns; infinite for others."""
     still = jnp.zeros(sums.cost.shape, sums.cost.dtype)
     reduced = reduce_sums(sums, still, free)
     shared = tuple(
@@ -265,7 +268,7 @@ def _spread(sums: Sums, free: Free) -> Spread:
 
 
 def _through(matrix: Triangle, adapted: tuple[Numbers, ...]) -> Numbers:
-    """Variances that reflectances have from the unknowns that channels share."""
+    """Variances of reflectances that come from the shared unknowns."""
     factors = factorize(matrix)
     flat = jax.tree.map(lambda f: f[None], factors)
     found = []
@@ -288,10 +291,10 @@ def _root_inverse(curvature: Array) -> Array:
 
 
 def _in_a_plane(point: Point, samples: Samples) -> Bool[Array, " pixels"]:
-    """Whether the lamps that light a pixel lie in one plane with it.
+    """True if the lights that reach a pixel lie in one plane with it.
 
-    Its matte light then only tells the part of the normal in that plane, and the mirror
-    image of the pixel in it looks the same.
+    Diffuse light then determines only the component of the normal in that plane, and
+    the mirror image of the normal in the plane gives equal samples.
     """
     lights = facing(samples.lamps)
     row = [lights[:, k] for k in range(3)]

@@ -1,16 +1,17 @@
-r"""Whether normals that were found belong to a surface, or to its mirror image.
+r"""Test of whether fitted normals belong to a surface or to its mirror image.
 
-Slopes $p = -n_x / n_z$ and $q = -n_y / n_z$ of a surface satisfy $p_y = q_x$. Where
-the lights' y is turned round, so is the normals', and $p_y = -q_x$ instead: light alone
-cannot tell, since the mirrored object looks the same.
+Slopes $p = -n_x / n_z$ and $q = -n_y / n_z$ of a surface satisfy $p_y = q_x$. If the
+sign of the lights' y is wrong, so is that of the normals, and $p_y = -q_x$. The
+residuals do not show it, since the mirrored object looks the same.
 """
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-# Blocks across the shorter side, over which normals are averaged first.
+# Number of blocks across the shorter side, over which normals are averaged first.
 ACROSS = 24
-# Slopes fit the mirror image if they fit it better by this factor, in so many places.
+# Slopes belong to the mirror image if the mean error for it is below this fraction of
+# the error for the surface, with at least `PLACES` blocks of n_z above `STEEPEST`.
 PLAINLY = 0.5
 PLACES = 50
 STEEPEST = 0.2
@@ -20,19 +21,19 @@ def is_mirrored(
     normals: Float[np.ndarray, "height width 3"],
     known: Bool[np.ndarray, "height width"],
 ) -> bool:
-    """Whether the slopes fit together only once y, or x, is turned round.
+    """True if the slopes are consistent only with the sign of y, or of x, reversed.
 
     **Arguments:**
 
     - `normals`: in the camera's axes: x right, y up, z towards it.
-    - `known`: where they are to be trusted.
+    - `known`: true for reliable normals.
     """
     size = max(min(known.shape) // ACROSS, 1)
     mean, inside = _averaged(normals, known, size)
     inside &= mean[..., 2] > STEEPEST
     z = np.where(inside, mean[..., 2], 1)
     p, q = -mean[..., 0] / z, -mean[..., 1] / z
-    # Rows run down, y up.
+    # Row numbers increase downwards, y upwards.
     rise = (p[:-1] - p[1:])[:, :-1]
     run = (q[:, 1:] - q[:, :-1])[:-1]
     whole = inside[:-1, :-1] & inside[1:, :-1] & inside[:-1, 1:]
@@ -45,7 +46,7 @@ def is_mirrored(
 def _averaged(
     normals: np.ndarray, known: np.ndarray, size: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Means over blocks of so many pixels a side, and where half of one is known."""
+    """Means over blocks of `size`² pixels, and blocks of which half is known."""
     height, width = (length // size * size for length in known.shape)
     shape = (height // size, size, width // size, size)
     share = known[:height, :width].reshape(shape).mean(axis=(1, 3))

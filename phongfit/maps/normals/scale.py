@@ -1,4 +1,4 @@
-"""How large residuals are, which outliers do not reach."""
+"""Robust estimates of the scale of residuals."""
 
 import jax
 import jax.numpy as jnp
@@ -9,14 +9,14 @@ from phongfit.maps.pixel.robust import loss_weights
 
 # A normal distribution's standard deviation over its median absolute value.
 NORMAL = 1.4826
-# Halvings in the search for a median: as many digits as a scale needs.
+# Halvings in the search for a median: a relative precision of 2⁻¹² is enough.
 HALVINGS = 12
 
 
 def count_used(
     share: Float[Array, "images channels pixels"],
 ) -> Float[Array, " pixels"]:
-    """How many samples of each pixel count, as numbers: sums of flags are slow."""
+    """Number of samples in use of each pixel, as floats: sums of booleans are slow."""
     return jnp.sum((share > 0).astype(share.dtype), axis=(0, 1))
 
 
@@ -27,12 +27,13 @@ def median_scale(
 ) -> Float[Array, " pixels"]:
     """Standard deviations of pixels from the medians of their absolute residuals.
 
-    Pixels stand side by side, so that halving an interval is faster than sorting.
+    Medians are found by halving an interval for all pixels at once, which is faster
+    than sorting.
 
     **Arguments:**
 
-    - `residual`: 0 where `share` is 0, which does not count.
-    - `unknowns`: of a pixel, which took as many degrees of freedom.
+    - `residual`: 0 for unused samples, whose `share` is 0.
+    - `unknowns`: number of unknowns of a pixel, subtracted from its degrees of freedom.
     """
     size = jnp.abs(residual)
     used, dtype = share > 0, residual.dtype
@@ -59,12 +60,12 @@ def weighed_scale(
     loss: AbstractLoss,
     unknowns: int,
 ) -> Float[Array, " pixels"]:
-    r"""Standard deviations by the loss's own weights, which waste less than a median.
+    r"""Standard deviations from the loss's weights, more efficient than a median.
 
     $\hat\sigma^2 = \frac{1}{c} \frac{n}{n - p} \sum w r^2 / \sum w$ with the weights at
     `scale`, and $c$ such that normal residuals give their variance.
 
-    **Arguments:** `scale`: from [`median_scale`][]; the others as there.
+    **Arguments:** `scale`: from [`median_scale`][], which documents the others.
     """
     used = share > 0
     weight = jnp.where(used, loss_weights(loss, residual / scale[None, None]), 0)
@@ -76,7 +77,7 @@ def weighed_scale(
 
 
 def _of_normal(loss: AbstractLoss) -> Float[Array, ""]:
-    """Mean of w r² over that of w, for normal residuals."""
+    """Ratio of the mean of w r² to the mean of w, for normal residuals."""
     r = jnp.linspace(-8, 8, 401)
     weight = loss_weights(loss, r) * jnp.exp(-(r**2) / 2)
     return jnp.sum(weight * r**2) / jnp.sum(weight)

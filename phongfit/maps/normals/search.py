@@ -1,7 +1,7 @@
-r"""From starts to the best normal and material: Levenberg and Marquardt, side by side.
+r"""Search for the best normal and material of pixels by Levenberg-Marquardt.
 
-Every pixel has its own damping and stops where its next step would be a small share of
-its standard errors. Robust losses make least squares anew at every step.
+Every pixel has its own damping, and stops when its next step would be a small fraction
+of its standard errors. For a robust loss, samples are reweighted at every step.
 
 ??? cite "Source"
     Marquardt, *An algorithm for least-squares estimation of nonlinear parameters*, J.
@@ -36,38 +36,41 @@ from phongfit.maps.pixel.pixel import Known
 from phongfit.maps.pixel.samples import Samples
 from phongfit.maps.pixel.settings import MapSettings
 
-# Exponents to begin from: broad and sharp highlights.
+# Start exponents: of a broad and of a sharp highlight.
 BROAD, SHARP = 8.0, 50.0
-# Points that are looked at from each start, from the best of them, and at the last
-# scale of the residuals: of a thorough search, and of a short one.
+# Numbers of evaluated points (thorough search, fast search): from each start, from the
+# best of them, and at the final scale of the residuals.
 STEPS = (7, 2), (12, 6), (40, 5)
-# And on the way there: where reflectances follow, and at the scale before.
+# Numbers of evaluated points in earlier stages: when each channel's reflectances are
+# fitted first, and at earlier scales of the residuals.
 COLOURED, ROUGHLY = 1, 4
-# At exponents beside the one found.
+# Numbers of evaluated points (thorough, fast) at exponents of a profile.
 FOLLOWED = 7, 3
-# Square of the step, in standard errors, from which on it does not matter.
+# Converged: the square of the step in standard errors is below this.
 ROUGH = 0.1
 FINE = 1e-2
-# The same where only the cost is asked for, which steps promise well.
+# Convergence limit if only the cost is needed, since steps predict its decrease well.
 VAGUELY = 0.5
-# Damping: at first, how it falls and rises, where it says that nothing leads downhill.
+# Damping: first value, factors on success and failure, the limit above which no descent
+# step exists, and the least value.
 DAMPING = 1e-3
 FALL, RISE = 0.1, 8.0
 STUCK = 1e5
 LEAST = 1e-6
-# An end that costs so much more is no rival: its residuals are large at any scale.
+# An end is not a rival if its cost is higher by more than this times the cost per
+# degree of freedom: its residuals are then large at any scale.
 FAR_OFF = 16.0
-# What rounding may add to a cost.
+# Relative rounding of a cost, in units of the machine precision.
 ROUNDED = 20
 
 
 class Descent(NamedTuple):
-    """Where a search stands.
+    """State of a search.
 
-    - `point`, `sums`: the best so far; `trial`: what is looked at next.
-    - `cost`: of the best, once each channel's own unknowns have adapted to it.
-    - `settled`: the next step does not matter, or nothing leads downhill. One that does
-        not matter is taken unseen, and its promise believed.
+    - `point`, `sums`: the best so far; `trial`: the next point to evaluate.
+    - `cost`: of the best, after each channel's own unknowns have adapted to it.
+    - `settled`: converged: the next step is below tolerance, or no descent step exists.
+        A step below tolerance is taken without evaluation, and its predicted cost used.
     """
 
     point: Point
@@ -79,12 +82,12 @@ class Descent(NamedTuple):
 
 
 class SearchResult(NamedTuple):
-    """The best that a search has found.
+    """Result of a search: the best point of all starts.
 
     - `cost`: see [`Descent`][].
-    - `scale`: that residuals were measured in; `left`: they, see [`residuals`][].
+    - `scale`: unit of the residuals; `left`: the residuals, see [`residuals`][].
     - `rival`: (pixels,), by how much another normal is worse, in squared noise.
-    - `near`: where another start did nearly as well: a thorough search follows it.
+    - `near`: true if another start did nearly as well: a thorough search follows it.
     """
 
     point: Point
@@ -98,7 +101,7 @@ class SearchResult(NamedTuple):
 
 
 def where_pixels(where: Bool[Array, " pixels"], yes, no):
-    """Pixel by pixel, one of two trees of arrays whose last axis is the pixels."""
+    """`yes` or `no` for each pixel: two trees of arrays with pixels as last axis."""
 
     def choose(a: Array, b: Array) -> Array:
         return jnp.where(where.reshape((1,) * (a.ndim - 1) + where.shape), a, b)
@@ -118,14 +121,14 @@ def descend(
     alone: Array | int = 0,
     skipped: Array | bool = False,
 ) -> Descent:
-    """Downhill from a point, at a given scale of the residuals.
+    """Minimise the cost from a point, at a given scale of the residuals.
 
     **Arguments:**
 
-    - `most`: points to be looked at; `enough`: see [`FINE`][].
-    - `channels`: whose sum each channel of the samples is.
-    - `alone`: so many first steps move each channel's reflectances alone.
-    - `skipped`: pixels that need not move.
+    - `most`: maximum number of evaluated points; `enough`: see [`FINE`][].
+    - `channels`: number of channels that each channel of the samples is the sum of.
+    - `alone`: number of first steps that move only each channel's reflectances.
+    - `skipped`: pixels that are not fitted.
     """
     edges = edges_of(settings, which, channels)
     viewer = samples.lamps.to_viewer
@@ -181,13 +184,13 @@ def search(
     which: Unknowns,
     thorough: Array | bool = True,
 ) -> SearchResult:
-    """The best normal and material that several starts lead to.
+    """Find the best normal and material from several starts.
 
-    They begin with the channels' sum, whose best end counts; then each channel has its
-    own reflectances, and the residuals' scale is found anew.
+    The searches first fit the sum of the channels. From the best result, each channel's
+    own reflectances are fitted, and the scale of the residuals is estimated again.
 
-    **Arguments:** `thorough`: whether to go on until all is settled, and to follow
-    another normal that may be as good.
+    **Arguments:** `thorough`: whether to go on until all pixels have converged, and to
+    follow another normal that may be as good.
     """
     channels = samples.target.shape[1]
     together = greyed(samples)
@@ -202,7 +205,7 @@ def search(
         for t in exponents
     ]
     few, polished, most = (jnp.where(thorough, *each) for each in STEPS)
-    # Plain least squares is hardly ever the better matte surface.
+    # Fast mode skips plain least squares, which is hardly ever the better start.
     plain = jnp.arange(len(begins)) < len(exponents)
     steps = jnp.where(plain & ~jnp.asarray(thorough), 0, few)
 
@@ -219,7 +222,7 @@ def search(
     freedom = count_used(together.share) - settings.unknowns(1)
     close = rivals.gaps * jnp.maximum(freedom, 1)[None] <= FAR_OFF * cost[None]
     near = jnp.any(close, axis=0)
-    # Another normal matters more than another highlight.
+    # If there are both, follow another normal rather than another highlight.
     other = jnp.where(close[0], *rivals.starts)
     two = winner, _pick(points, other)
     finish = functools.partial(
@@ -230,7 +233,7 @@ def search(
     begins = jax.tree.map(lambda *leaves: jnp.stack(leaves), *both)
     skipped = jnp.stack([jnp.zeros_like(near), ~(near & thorough)])
     ends, scales, left = jax.lax.map(finish, (begins, skipped))
-    # Which loss is less is asked at one scale: the smaller of both.
+    # Losses are comparable only at one scale: the smaller of both.
     scale = jnp.where(skipped[1], scales[0], jnp.minimum(scales[0], scales[1]))
     relative = left / scale[None, None, None]
     final = jnp.sum(settings.loss.root(relative) ** 2, axis=(1, 2))
@@ -257,9 +260,9 @@ def _finish(
     settings: MapSettings,
     which: Unknowns,
 ) -> tuple[Descent, Float[Array, " pixels"], Float[Array, "images channels pixels"]]:
-    """Downhill with each channel by itself: the end, its scale, and its residuals.
+    """Fit all channels from a point: returns the end, its scale, and its residuals.
 
-    **Arguments:** `start`: a point, and pixels that need not move.
+    **Arguments:** `start`: a point, and pixels that are not fitted.
     """
     begin, skipped = start
     unknowns = settings.unknowns(samples.target.shape[1])
@@ -281,7 +284,7 @@ def _finish(
     def go_on() -> tuple[Descent, Array, Array]:
         def again(stage: Array, found: tuple[Descent, Array]) -> tuple[Descent, Array]:
             (end, scale), first = found, stage == 0
-            # The reflectances of each channel follow at once: they are linear.
+            # First each channel's reflectances, which are linear, at the same scale.
             scale = jax.lax.cond(first, lambda: scale, lambda: measured(end, scale))
             last = stage == stages
             steps = jnp.where(first, COLOURED, jnp.where(last, most, ROUGHLY))
@@ -316,11 +319,11 @@ def follow_exponent(
     which: Unknowns,
     thorough: Array | bool = True,
 ) -> Profile:
-    """The best of all else at other exponents than the one found.
+    """Fit all other unknowns at exponents beside the estimate.
 
-    All else sets out from where it would be if the model were linear.
+    The fits start from the solution of the linearised model.
 
-    **Arguments:** `wanted`: for which pixels.
+    **Arguments:** `wanted`: pixels to be fitted.
     """
     fixed = which._replace(exponent=False)
     edges = edges_of(settings, which)
@@ -344,14 +347,14 @@ def follow_exponent(
 
 
 def _positive(scale: Array, samples: Samples) -> Array:
-    """A scale above the rounding of what is measured: exact data leave nothing."""
+    """Scale of at least the rounding of the data: exact data leave no residual."""
     bright = jnp.max(jnp.abs(samples.target * samples.share), axis=(0, 1))
     least = 1e-6 * bright
     return jnp.maximum(scale, jnp.where(least > 0, least, 1))
 
 
 def _exponents(known: Known, settings: MapSettings) -> list[Array]:
-    """Logarithms of the exponents to begin from."""
+    """Logarithms of the start exponents."""
     given = jnp.log(known.shininess[0])
     if not (settings.searched and settings.scanned):
         return [given]
@@ -362,7 +365,7 @@ def _exponents(known: Known, settings: MapSettings) -> list[Array]:
 
 
 def _one_channel(which: Unknowns) -> Unknowns:
-    """The same of a single channel, whose ρ_s is its own."""
+    """Unknowns of a single channel, where ρ_s is the channel's own."""
     own = (*which.own, "specular") if which.one_specular else which.own
     return which._replace(own=own, one_specular=False)
 
@@ -370,7 +373,7 @@ def _one_channel(which: Unknowns) -> Unknowns:
 def _begin(
     normal: Array, t: Array, diffuse: Array, known: Known, which: Unknowns
 ) -> Point:
-    """A point of the channels' sum: half as much highlight as matte light."""
+    """Start point for the channels' sum, with ρ_s half of ρ_d."""
     pixels = diffuse.shape
 
     def given(values: Array) -> Array:
@@ -388,7 +391,7 @@ def _begin(
 
 
 def _coloured(point: Point, channels: int, known: Known, which: Unknowns) -> Point:
-    """A point of all channels from one of their sum."""
+    """Point of all channels, made from a point of their sum."""
     size = (channels, *point.log_exponent.shape)
 
     def spread(name: str, values: Array) -> Array:
@@ -405,7 +408,7 @@ def _coloured(point: Point, channels: int, known: Known, which: Unknowns) -> Poi
 
 
 def _pick(stacked: Point, which: Array) -> Point:
-    """Pixel by pixel, one of several stacked points."""
+    """One of several stacked points for each pixel."""
 
     def pick(leaf: Array) -> Array:
         index = which.reshape((1,) * (leaf.ndim - 1) + which.shape)
@@ -415,16 +418,17 @@ def _pick(stacked: Point, which: Array) -> Point:
 
 
 APART = 0.9962
-"""Cosine of 5°: normals that are further apart are two."""
+"""Cosine of 5°: normals further apart count as different."""
 
 ANOTHER = 1.0
-"""Logarithms of exponents that are further apart are two highlights."""
+"""Difference of log f above which two highlights count as different."""
 
 
 class _Rivals(NamedTuple):
-    """The next best ends, of another normal and of another highlight.
+    """The best ends with another normal and with another highlight.
 
-    - `starts`: which they are; `gaps`: by how much they cost more. (2, pixels) each.
+    - `starts`: their numbers; `gaps`: how much higher their costs are. (2, pixels)
+        each.
     """
 
     starts: Int[Array, "2 pixels"]
@@ -434,7 +438,7 @@ class _Rivals(NamedTuple):
 def _rivals(
     points: Point, costs: Float[Array, "starts pixels"], best: Array
 ) -> _Rivals:
-    """What else the starts lead to, besides the best."""
+    """Find the best ends of other starts with a different normal or highlight."""
     first = _pick(points, best)
     cosine = jnp.sum(points.normal * first.normal[None], axis=1)
     off = jnp.abs(points.log_exponent - first.log_exponent[None])

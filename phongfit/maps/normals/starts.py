@@ -1,4 +1,4 @@
-"""Where a search for a normal begins: matte surfaces, and the brightest highlight."""
+"""Start values of normals, from matte surfaces and from the brightest highlight."""
 
 from typing import NamedTuple
 
@@ -22,7 +22,7 @@ class Matte(NamedTuple):
     """A matte surface fitted to grey samples.
 
     - `normal`: (3, pixels); `diffuse`: (pixels,), ρ_d.
-    - `scale`: (pixels,), of what it leaves.
+    - `scale`: (pixels,), robust standard deviation of its residuals.
     """
 
     normal: Float[Array, "3 pixels"]
@@ -31,14 +31,14 @@ class Matte(NamedTuple):
 
 
 class Starts(NamedTuple):
-    """Normals to begin from, (starts, 3, pixels), and the robust matte surface."""
+    """Start normals, (starts, 3, pixels), and the robust matte surface."""
 
     normals: Float[Array, "starts 3 pixels"]
     matte: Matte
 
 
 def greyed(samples: Samples) -> Samples:
-    """The channels' sum, as one channel: of all that have none left out."""
+    """Samples with one channel, the sum of all; unused if any channel is unused."""
     share = samples.share
     whole = jnp.all(share > 0, axis=1, keepdims=True)
     variance = 1 / jnp.where(share > 0, share, 1) ** 2
@@ -51,10 +51,10 @@ def greyed(samples: Samples) -> Samples:
 
 
 def make_starts(samples: Samples) -> Starts:
-    """Starts for grey samples.
+    """Start normals for grey samples.
 
-    Least squares of a matte surface, the same of lit samples and robustly, and a
-    surface that mirrors the brightest lamp to the viewer.
+    The three starts are a matte surface fitted by least squares, one fitted robustly to
+    the lit samples, and a surface that mirrors the brightest light to the viewer.
     """
     vector = facing(samples.lamps)
     target, share = samples.target[:, 0], samples.share[:, 0]
@@ -76,7 +76,7 @@ def make_starts(samples: Samples) -> Starts:
 def _shown(
     vector: Float[Array, "3 pixels"], lights: Float[Array, "images 3 #pixels"]
 ) -> Float[Array, "images pixels"]:
-    """ρ n · e s of all images."""
+    """Light ρ n · e s of a matte surface in all images."""
     return sum(
         (lights[:, k] * vector[k][None] for k in range(1, 3)),
         lights[:, 0] * vector[0][None],
@@ -84,7 +84,7 @@ def _shown(
 
 
 def _matte(lights: Array, target: Array, share: Array) -> Float[Array, "3 pixels"]:
-    """ρ n by weighted least squares."""
+    """Vector ρ n of a matte surface by weighted least squares."""
     weighed = [share**2 * lights[:, k] for k in range(3)]
     matrix: Triangle = tuple(
         tuple(jnp.sum(weighed[i] * lights[:, j], axis=0) for j in range(i + 1))
@@ -95,19 +95,19 @@ def _matte(lights: Array, target: Array, share: Array) -> Float[Array, "3 pixels
 
 
 def _kept(vector: Array, lights: Array, target: Array, share: Array) -> Array:
-    """Roots of weights: of lit samples, the less the further they are off."""
+    """Square roots of robust weights of the lit samples; 0 for unlit ones."""
     shown = _shown(vector, lights)
     lit = (shown > 0) & (share > 0)
     residual = jnp.where(lit, share * (target - shown), 0)
     scale = median_scale(residual[:, None], lit[:, None].astype(share.dtype), 0)
     relative = residual / jnp.where(scale > 0, scale, 1)[None]
-    # Squared: highlights and shadows are no tails of a distribution.
+    # Squared, since highlights and shadows are larger than the tails of a distribution.
     weight = loss_weights(Cauchy(), relative) ** 2
     return jnp.where(lit, jnp.sqrt(weight), 0)
 
 
 def _mirroring(lights: Array, target: Array, share: Array, viewer: Array) -> Array:
-    """Half way between the viewer and the lamp under which a pixel is brightest."""
+    """Sum of unit vectors to the viewer and to the light of the brightest sample."""
     strength = jnp.sqrt(jnp.sum(lights**2, axis=1))
     bright = jnp.where(share > 0, target / jnp.where(strength > 0, strength, 1), -1)
     brightest = jnp.argmax(bright, axis=0)[None]

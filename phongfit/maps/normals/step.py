@@ -1,7 +1,7 @@
-"""One damped step of Gauss and Newton, in the box of the reflectances.
+"""One damped Gauss-Newton step, in the box of the reflectances.
 
-The channels meet only in what they share: the unknowns of each channel are solved for
-first, and a matrix of the two to four shared ones is left.
+The channels are coupled only by the unknowns that they share. So each channel's own
+unknowns are eliminated first, which leaves a matrix of the two to four shared ones.
 """
 
 from typing import NamedTuple
@@ -25,18 +25,18 @@ from phongfit.maps.pixel.small import (
     times,
 )
 
-# Place of log f among the unknowns that the channels share.
+# Index of log f among the unknowns that the channels share.
 EXPONENT = 2
-# No step is longer: in radians, and in log f.
+# Longest steps: of the normal in radians, and of log f.
 FARTHEST = 0.3
 LONGEST = 0.7
 
 
 class Move(NamedTuple):
-    """A step: of each channel's own unknowns, of the shared, and what it promises.
+    """A step of each channel's own unknowns and of the shared, with its decrement.
 
-    - `decrement`: by how much it lowers the cost if all is as linear as it looks, times
-        two: the square of the step in standard errors.
+    - `decrement`: decrease of the cost if the model is linear, which is the square of
+        the step in standard errors.
     """
 
     own: Numbers
@@ -45,14 +45,14 @@ class Move(NamedTuple):
 
 
 class Free(NamedTuple):
-    """Which unknowns are free to move."""
+    """Flags of the unknowns that are free to move."""
 
     own: Numbers
     shared: Numbers
 
 
 class Reduced(NamedTuple):
-    """The shared unknowns' matrix once the channels' own have adapted.
+    """The shared unknowns' matrix after elimination of the channels' own.
 
     - `shared`: that matrix; `pull`: its right side.
     - `factors`: of the channels' own; `adapted`: their inverse times `cross`.
@@ -67,7 +67,7 @@ class Reduced(NamedTuple):
 
 
 def reduce_sums(sums: Sums, damping: Float[Array, " pixels"], free: Free) -> Reduced:
-    """Eliminate what each channel has of its own, which is linear: undamped."""
+    """Eliminate each channel's own unknowns, which are linear and so not damped."""
     more = 1 + damping
     factors = factorize(only(sums.own, free.own))
     cross = tuple(
@@ -98,7 +98,7 @@ def reduce_sums(sums: Sums, damping: Float[Array, " pixels"], free: Free) -> Red
 
 
 def make_move(sums: Sums, damping: Float[Array, " pixels"], free: Free) -> Move:
-    """The damped step of all that is free."""
+    """The damped step of all free unknowns."""
     reduced = reduce_sums(sums, damping, free)
     shared = solve(factorize(reduced.shared), reduced.pull)
     left = _of_free(sums.pull_own, free.own)
@@ -110,7 +110,7 @@ def make_move(sums: Sums, damping: Float[Array, " pixels"], free: Free) -> Move:
 
 
 def respond(sums: Sums, free: Free) -> Move:
-    """By how much all else follows where log f goes up by one."""
+    """Change of all other unknowns when log f increases by one."""
     still = jnp.zeros_like(sums.cost)
     shared = list(free.shared)
     shared[EXPONENT] = jnp.zeros_like(shared[EXPONENT])
@@ -130,7 +130,7 @@ def _of_free(values: Numbers, free: Numbers) -> Numbers:
 
 
 def _damped(matrix: Triangle, more: Array) -> Triangle:
-    """The diagonal made larger, as Marquardt does it."""
+    """Matrix with its diagonal multiplied by `more`, as in Marquardt's method."""
     return tuple(
         (*row[:-1], row[-1] * more + jnp.finfo(more.dtype).tiny) for row in matrix
     )
@@ -145,7 +145,7 @@ class Edges(NamedTuple):
 
 
 def edges_of(settings: MapSettings, which: Unknowns, channels: int = 1) -> Edges:
-    """The box of settings; of the sum of so many channels."""
+    """Bounds of the settings, multiplied for the sum of `channels` channels."""
 
     def wide(name: str) -> tuple[float, float]:
         low, high = settings.bound(name)
@@ -156,7 +156,7 @@ def edges_of(settings: MapSettings, which: Unknowns, channels: int = 1) -> Edges
 
 
 def free_to_move(point: Point, sums: Sums, which: Unknowns, edges: Edges) -> Free:
-    """All but what lies at an edge and is pulled outwards."""
+    """Flags of all unknowns but those at a bound whose gradient points outwards."""
 
     def inward(value: Array, pull: Array, edge: tuple[float, float]) -> Array:
         low, high = edge
@@ -178,9 +178,10 @@ def free_to_move(point: Point, sums: Sums, which: Unknowns, edges: Edges) -> Fre
 
 
 def steadied(sums: Sums, which: Unknowns, edges: Edges) -> Sums:
-    """Sums whose steps leave alone what samples do not tell.
+    """Sums with a weak prior, so that unidentified unknowns do not move.
 
-    As if each unknown were known to lie where it is, to the width of its box.
+    The prior of log f and of each reflectance is its present value, with the width of
+    its box as standard deviation. The normal has no prior.
     """
 
     def more(matrix: Triangle, widths: dict[int, tuple[float, float]]) -> Triangle:
@@ -201,10 +202,10 @@ def steadied(sums: Sums, which: Unknowns, edges: Edges) -> Sums:
 
 
 def adapt_own(point: Point, sums: Sums, which: Unknowns, edges: Edges) -> Move:
-    """The step of each channel's own unknowns alone, and how much that gives.
+    """The step of each channel's own unknowns alone, and its decrease of the cost.
 
-    As far as the box allows, and nothing where the box turns it to a loss: what it
-    gives is exact, since light is linear in them.
+    The step is clipped to the box, and 0 if the clipped step would raise the cost. The
+    decrease is exact, since light is linear in these unknowns.
     """
     free = free_to_move(point, sums, which, edges).own
     pull = _of_free(sums.pull_own, free)
@@ -233,7 +234,7 @@ def moved(
     which: Unknowns,
     edges: Edges,
 ) -> Point:
-    """The point after a step, in its box and turned to the viewer."""
+    """The point after a step, clipped to its box, with the normal facing the viewer."""
     first, second = tangents(point.normal)
     a, b = move.shared[:2]
     far = jnp.sqrt(a**2 + b**2)
@@ -254,5 +255,5 @@ def moved(
 
 
 def held(free: Free, shared: Array | bool) -> Free:
-    """The same with all that the channels share held, if so."""
+    """`free` with all shared unknowns held if `shared` is true."""
     return Free(free.own, tuple(one & ~jnp.asarray(shared) for one in free.shared))

@@ -1,7 +1,7 @@
-r"""One pass over all lamps: residuals, and all that a step needs to know of them.
+r"""Residuals, and the sums over all images that a step needs, in one pass.
 
-Pixels are the last axis, so that each sum is a sum of long rows, and lamps are gone
-through one by one: what a compiler would compute anew for every sum is computed once.
+Pixels are the last axis, so that each sum adds long rows. Images are processed one by
+one: a compiler would otherwise repeat intermediate computations for every sum.
 """
 
 from typing import NamedTuple
@@ -25,15 +25,16 @@ from phongfit.vectors import Scalar, Vec3, dot
 
 
 class Sums(NamedTuple):
-    r"""Sums over all samples, weighted as the loss weighs them, in squared noise.
+    r"""Sums over all samples with the weights of the loss, in units of squared noise.
 
-    With the derivatives $J$ of the model in the unknowns, and the residuals r:
+    With the derivatives $J$ of the model with respect to the unknowns, and the
+    residuals r:
 
     - `own`: $J^\top W J$ of the reflectances of a channel, (channels, pixels) each.
-    - `cross`: for each shared unknown, its products with those.
-    - `shared`: of the shared unknowns, (pixels,) each.
+    - `cross`: for each shared unknown, its products with those reflectances.
+    - `shared`: $J^\top W J$ of the shared unknowns, (pixels,) each.
     - `pull_own`, `pull_shared`: $J^\top W r$.
-    - `cost`: what the loss makes of the residuals.
+    - `cost`: sum of the loss over the residuals.
     """
 
     own: Triangle
@@ -47,7 +48,8 @@ class Sums(NamedTuple):
 class Shade(NamedTuple):
     """One light on pixels: Lambert's D and the lobe S, and their derivatives.
 
-    In the two tangents of the normal, and of S in log f. (pixels,) each.
+    `d1`, `d2`, `s1`, `s2` are derivatives along the two tangents of the normal, `st`
+    that of S with respect to log f; (pixels,) each.
     """
 
     d: Array
@@ -60,14 +62,14 @@ class Shade(NamedTuple):
 
 
 class Peak(NamedTuple):
-    """A lobe's height at its centre, and how its logarithm goes on with log f."""
+    """A lobe's height at its centre, and the slope of its logarithm in log f."""
 
     height: Float[Array, " pixels"]
     slope: Float[Array, " pixels"]
 
 
 def peak_of(model: AbstractSpecular, log_exponent: Float[Array, " pixels"]) -> Peak:
-    """The peaks of pixels' lobes: all else of a lobe is a power of the cosine."""
+    """Peaks of pixels' lobes: a lobe is its peak times a power of the cosine."""
     one = jnp.ones_like(log_exponent)
 
     def height(t: Array) -> Array:
@@ -85,16 +87,16 @@ def shade(
     to_light: Float[Array, "3 #pixels"],
     to_viewer: Float[Array, "3 #pixels"],
 ) -> Shade:
-    """Of any specular model whose lobe is a power of the cosine.
+    """Shade of one light, for a specular model whose lobe is a power of the cosine.
 
-    The cosine's derivatives along the tangents are JAX's. Those of the power are
-    written out, since a compiler makes three powers of them.
+    The derivatives of the cosine along the tangents are automatic. The derivatives of
+    the power are written out, since XLA would otherwise compute three powers.
     """
 
     def pixel(
         normal: Vec3, first: Vec3, second: Vec3, light: Vec3, viewer: Vec3
     ) -> tuple[Scalar, ...]:
-        # Not renormalised: to first order a step along a tangent keeps the length.
+        # Not renormalised: a step along a tangent keeps the length to first order.
         def cosine(turned: Vec3) -> Scalar:
             return model.cosine(turned, light, viewer)
 
@@ -172,7 +174,7 @@ def gather(
     model: AbstractSpecular,
     which: Unknowns,
 ) -> Sums:
-    """All sums at a point, residuals being measured in `scale`."""
+    """All sums at a point, with residuals in units of `scale`."""
     peak = peak_of(model, point.log_exponent)
 
     def add(image: Array, totals: _Totals) -> _Totals:
@@ -184,7 +186,7 @@ def gather(
         columns, whole, pull, cost = optimization_barrier(
             ((*made.own, *made.shared), weight * share, weight * residual, cost)
         )
-        # Side by side in one array: one program then makes all products of a kind.
+        # Stacked, so that one fused loop computes all products of a kind.
         table = optimization_barrier(jnp.stack(columns))
         return totals.add(table, whole, pull, cost)
 
@@ -193,7 +195,7 @@ def gather(
 
 
 class _Totals(NamedTuple):
-    """Sums over samples while they grow, each kind in one array.
+    """Running sums over samples, with each kind in one array.
 
     - `own`: products of all columns with those of each channel's own unknowns.
     - `shared`: products of the shared unknowns' columns, over all channels.
@@ -212,7 +214,7 @@ class _Totals(NamedTuple):
         pull: Float[Array, "channels pixels"],
         cost: Float[Array, " pixels"],
     ) -> "_Totals":
-        """With one more image."""
+        """The totals plus the products of one image."""
         own = self.own.shape[1]
         weighed = weight[None] * columns
         products = [
@@ -227,7 +229,7 @@ class _Totals(NamedTuple):
         )
 
     def sums(self) -> Sums:
-        """Number by number."""
+        """The totals as [`Sums`][], with one array for each entry."""
         unknowns, own = self.own.shape[:2]
         shared = range(unknowns - own)
         return Sums(
@@ -261,7 +263,7 @@ def _no_totals(samples: Samples, which: Unknowns) -> _Totals:
 
 
 def over_channels(values: Float[Array, "channels pixels"]) -> Float[Array, " pixels"]:
-    """The sum over the channels, row by row."""
+    """Sum over the channels, added row by row."""
     total, *others = values
     for other in others:
         total = total + other
@@ -271,7 +273,7 @@ def over_channels(values: Float[Array, "channels pixels"]) -> Float[Array, " pix
 def residuals(
     point: Point, samples: Samples, model: AbstractSpecular, which: Unknowns
 ) -> Float[Array, "images channels pixels"]:
-    """(measured − model) · share: 0 where a sample may not be used."""
+    """Residuals (measured − model) · share; 0 for unused samples."""
 
     peak = peak_of(model, point.log_exponent)
 

@@ -1,4 +1,4 @@
-"""The unknowns of a pixel whose normal is sought, and where they stand."""
+"""The unknowns of a pixel whose normal is fitted, and their values."""
 
 from typing import NamedTuple
 
@@ -13,8 +13,8 @@ class Point(NamedTuple):
 
     - `normal`: (3, pixels) unit vectors.
     - `log_exponent`: (pixels,), log f.
-    - `ambient`, `diffuse`, `specular`: (channels, pixels), and (1, pixels) of a ρ_s
-        that the channels share.
+    - `ambient`, `diffuse`, `specular`: (channels, pixels); (1, pixels) for a ρ_s that
+        the channels share.
     """
 
     normal: Float[Array, "3 pixels"]
@@ -25,11 +25,11 @@ class Point(NamedTuple):
 
 
 class Unknowns(NamedTuple):
-    """What of a [`Point`][] is sought besides its normal.
+    """The unknowns of a [`Point`][] besides its normal.
 
-    - `own`: reflectances that each channel has of its own.
-    - `exponent`: whether f is.
-    - `one_specular`: whether ρ_s is, one for all channels.
+    - `own`: reflectances that are unknown in each channel separately.
+    - `exponent`: whether f is unknown.
+    - `one_specular`: whether one ρ_s of all channels is unknown.
     """
 
     own: tuple[str, ...]
@@ -38,12 +38,12 @@ class Unknowns(NamedTuple):
 
     @property
     def n_shared(self) -> int:
-        """Unknowns that the channels share: two of the normal, f, ρ_s."""
+        """Number of unknowns that the channels share: two of the normal, f, ρ_s."""
         return 2 + self.exponent + self.one_specular
 
 
 def unknowns_of(settings: MapSettings) -> Unknowns:
-    """The unknowns that settings ask for."""
+    """The unknowns of settings."""
     shared = settings.one_specular and settings.shiny
     own = tuple(
         name
@@ -56,7 +56,7 @@ def unknowns_of(settings: MapSettings) -> Unknowns:
 def tangents(
     normal: Float[Array, "3 pixels"],
 ) -> tuple[Float[Array, "3 pixels"], Float[Array, "3 pixels"]]:
-    """Two unit vectors square to the normal and to each other.
+    """Two unit vectors perpendicular to the normal and to each other.
 
     ??? cite "Source"
         Duff et al., *Building an orthonormal basis, revisited*, J. Comput. Graph.
@@ -72,19 +72,19 @@ def tangents(
 
 
 def unit(vector: Float[Array, "3 pixels"]) -> Float[Array, "3 pixels"]:
-    """Of length 1; a zero vector stays zero."""
+    """Vectors scaled to length 1; a zero vector stays zero."""
     squared = jnp.sum(vector**2, axis=0)
     return vector / jnp.sqrt(jnp.where(squared > 0, squared, 1))[None]
 
 
 FACING = 0.02
-"""A normal's least cosine to the viewer: what is seen is turned to who sees it."""
+"""Least cosine between a normal and the viewer, since visible surfaces face it."""
 
 
 def turned_to(
     vector: Float[Array, "3 pixels"], to_viewer: Float[Array, "3 #pixels"]
 ) -> Float[Array, "3 pixels"]:
-    """Unit vectors, moved to the viewer's side where they are not on it."""
+    """Unit vectors, moved to the viewer's side if they face away."""
     normal = unit(vector)
     cosine = jnp.sum(normal * to_viewer, axis=0)
     return unit(normal + jnp.maximum(FACING - cosine, 0)[None] * to_viewer)

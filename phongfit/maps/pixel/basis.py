@@ -1,4 +1,4 @@
-r"""What the light of pixels is made of: $I = \rho_a A + \rho_d D + \rho_s S(f)$."""
+r"""Basis of the light of pixels: $I = \rho_a A + \rho_d D + \rho_s S(f)$."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -21,8 +21,8 @@ class Basis(NamedTuple):
     r"""The basis of pixels. An image of several lights has a highlight for each.
 
     - `ambient`, `diffuse`: A and D, light for $\rho_a = 1$ and $\rho_d = 1$.
-    - `strength`: of each highlight at its centre, for $\rho_s = 1$.
-    - `angles`: what each highlight's lobe takes: see [`AbstractLobes`][].
+    - `strength`: light of each highlight at its centre, for $\rho_s = 1$.
+    - `angles`: arguments of each highlight's lobe: see [`AbstractLobes`][].
     """
 
     ambient: Float[Array, "images #channels #pixels"]
@@ -33,7 +33,7 @@ class Basis(NamedTuple):
     def specular(
         self, lobes: AbstractLobes, t: Float[Array, "groups #pixels"]
     ) -> Float[Array, "images channels pixels"]:
-        """S at exponent e^t."""
+        """Highlights S at exponents e^t."""
         return jax.lax.map(self._highlight(lobes, t), (self.strength, self.angles))
 
     def light_of_image(
@@ -43,9 +43,10 @@ class Basis(NamedTuple):
         lobes: AbstractLobes | None,
         t: Float[Array, "groups pixels"],
     ) -> "Callable[[Basis], Float[Array, 'channels pixels']]":
-        """From what one image has of the basis to its light.
+        """A function from one image's basis to its light.
 
-        Of the reflectances of `columns`, and last ρ_s unless `lobes` is `None`.
+        **Arguments:** `point`: the reflectances of `columns`, then ρ_s; without the
+        highlight if `lobes` is `None`.
         """
         highlight = None if lobes is None else self._highlight(lobes, t)
 
@@ -62,7 +63,7 @@ class Basis(NamedTuple):
     def _highlight(
         self, lobes: AbstractLobes, t: Float[Array, "groups #pixels"]
     ) -> Callable[[tuple], Array]:
-        """S of an image, from its strengths and angles."""
+        """A function from an image's strengths and angles to its highlight S."""
         height = lobes.at(t)
 
         def highlight(image: tuple) -> Array:
@@ -79,10 +80,10 @@ class Basis(NamedTuple):
 def make_basis(
     tile: Tile, lighting: Lighting, lamps: Lamps, settings: MapSettings
 ) -> tuple[Basis, Float[Array, "images pixels"]]:
-    """The basis of a tile's pixels, and where it is lit.
+    """The basis of a tile's pixels, and 1 for images that light a pixel, else 0.
 
-    That is where a light of an image reaches the surface at a cosine above the
-    settings' least, or where the image shows light from all around alone.
+    An image lights a pixel if one of its lights arrives at a cosine above
+    `settings.min_cosine`, or if the image has only light from all around.
     """
     model, lobes = settings.model, settings.lobes
     normal = pixels_last(tile.normal)

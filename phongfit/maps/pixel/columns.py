@@ -1,12 +1,12 @@
-r"""The part of the problem that does not change with the exponent, worked out once.
+r"""The part of the problem that does not depend on the exponent, computed once.
 
-The measured light is freed of what the unknowns other than the highlight explain: what
-is left is small where there is no highlight, so that sums over the images keep their
-digits in single precision. All that a highlight is ever summed with is multiplied by
-its strength beforehand, so that an exponent asks for one product a row.
+The light that the fixed columns explain is subtracted from the measured light. The
+residual is small where there is no highlight, so that sums over the images keep their
+precision in float32. Everything that is summed with a highlight is multiplied by its
+strength beforehand, so that each exponent needs one product per row.
 
-Pixels are the last axis, so that each sum is a sum of long rows, and images are gone
-through one by one: what a compiler would compute anew for every sum is computed once.
+Pixels are the last axis, so that each sum adds long rows. Images are processed one by
+one: a compiler would otherwise repeat intermediate computations for every sum.
 """
 
 from collections.abc import Sequence
@@ -31,16 +31,16 @@ class Columns(NamedTuple):
     r"""Columns C of weights W, and $y = y_\perp + C x_0$, channel by channel.
 
     With the strengths $\sigma_j$ of an image's highlights and their heights $s_j$ the
-    highlight is $S = \sum_j \sigma_j s_j$. Its sums over the images are those of the
-    $s_j$ and of their products, with
+    highlight is $S = \sum_j \sigma_j s_j$. Its sums over the images follow from the
+    $s_j$, their products, and these arrays:
 
     - `gram`: $C^\top W C$.
     - `start`: $x_0$, the solution without a highlight and without bounds.
     - `cross`: rows $W \sigma_j C_k$ for each column.
     - `moments`: $W \sigma_j y_\perp$.
     - `squares`: $W \sigma_j \sigma_k$ for each of [`pairs`][]; twice that where
-        $j \ne k$, for (k, j) is no pair of its own.
-    - `rest`: $y_\perp^\top W y_\perp$, what is left without a highlight.
+        $j \ne k$, since (j, k) and (k, j) are one pair.
+    - `rest`: $y_\perp^\top W y_\perp$, the sum of squares without a highlight.
     """
 
     gram: Triangle
@@ -52,7 +52,7 @@ class Columns(NamedTuple):
 
     @property
     def rows(self) -> tuple[Array, Array, Array]:
-        """What heights are summed with: `cross`, `moments`, and their products'."""
+        """Factors of heights in `cross` and `moments`, and of their products."""
         return self.cross, self.moments, self.squares
 
 
@@ -62,9 +62,9 @@ def make_columns(
     weight: Float[Array, "images #channels pixels"],
     strength: Float[Array, "images lobes #channels #pixels"],
 ) -> Columns:
-    """Of all channels; where `weight` is 0, the others are only finite.
+    """Columns of all channels; the other arrays must be finite if `weight` is 0.
 
-    What is the same for all channels may have one, in all but the target.
+    The channel axis may have length 1 in all arrays but the target.
     """
     nothing = jnp.zeros(target.shape[1:], target.dtype)
     size = len(columns)
@@ -104,7 +104,7 @@ def make_columns(
 def pairs(
     left: Sequence[Array] | Array, right: Sequence[Array] | Array, unequal: float = 1
 ) -> list[Array]:
-    """Products of each row with itself, and `unequal` times with those before it."""
+    """Products of each row with itself, and with earlier rows times `unequal`."""
     return [
         left[j] * right[k] * (1 if j == k else unequal)
         for j in range(len(left))

@@ -1,4 +1,4 @@
-"""From sums at the solution to standard errors, and to what they cannot say."""
+"""Standard errors of pixels from sums at the solution, and flags for their limits."""
 
 from collections.abc import Callable
 from typing import NamedTuple, TypeVar
@@ -24,20 +24,20 @@ from phongfit.maps.pixel.small import (
 
 T = TypeVar("T")
 
-# A search has ended where the next step would be less than this share of the error.
+# Converged: the next step is below this fraction of the standard error.
 SETTLED = 0.1
-# Moves of a reflectance that do not matter, however small its error.
+# Changes of a reflectance below this are negligible, however small its error.
 LEAST = 1e-4
-# A standard error of log f from which on the model bends within it.
+# From this standard error of log f on, the model is not linear within the error.
 VAGUE = 0.25
-# Standard errors to which a profile is followed: those of intervals of 95 %.
+# Profiles are followed to this many standard errors: about a 95 % interval.
 FAR = 2.0
 
 
 class Errors(NamedTuple):
-    """Standard errors of all channels; infinite for what is not identified.
+    """Standard errors of all channels; infinite if not identified.
 
-    - `reflectances`: for each unknown (channels, pixels): the columns', then that of
+    - `reflectances`: (channels, pixels) for each unknown: those of the columns, then
         ρ_s.
     - `exponent`: of f, (groups, pixels).
     - `dim`, `degenerate`, `at_bound`, `moving`: see [`Flag`][], (groups, pixels).
@@ -64,24 +64,25 @@ def standard_errors(
 ) -> Errors:
     r"""Errors from $\sigma^2 (J^\top J)^{-1}$, with no unknown held by its bound.
 
-    An estimate that lies at its bound may have a truth inside of it, and then all that
-    is correlated with it moves: nothing at a bound counts as known. Where the exponent
-    is vague, the model bends within its error; errors then reach at least as far as the
-    profile does, which holds the exponent all over its range and has all else adapt.
+    The true value may be inside the bound when the estimate lies at it, and estimates
+    that are correlated with it then differ too: so parameters at a bound count as free.
+    If the error of the exponent is large, the model is not linear within it. Errors
+    then reach at least as far as the profile, for which all other unknowns are fitted
+    at exponents over the whole range.
 
     **Arguments:**
 
     - `at`, `columns`, `t`: the solution.
     - `sigma`: standard deviation of a sample.
-    - `moved`: by how much the reflectances last moved, where weights move them.
+    - `moved`: last change of the reflectances by reweighting; 0 without.
     - `angles`: as in [`Basis`][].
-    - `profile`: of these columns; `None` for one that is made where it is wanted.
+    - `profile`: of these columns; `None`: computed here if a pixel needs it.
     """
     groups = len(t)
     inner = (t > box.lowest) & (t < box.highest)
 
     def bordered(rest: Array) -> Triangle:
-        """Products of all columns and of ρ_s S'; `rest` is other channels' say on t."""
+        """Products of all columns and ρ_s S'; `rest`: curvature from other channels."""
         specular = at.point[-1]
         side = tuple(specular * number for number in slope_gram(at.slopes))
         corner = specular**2 * at.slopes.own + rest
@@ -101,8 +102,8 @@ def standard_errors(
     )
     if not settings.searched:
         error = jnp.broadcast_to(error, (len(error), *at.point[-1].shape))
-    # Without a highlight the exponent may be anything: ρ_s is identified if it is for
-    # all.
+    # Without a highlight any exponent is possible: errors are then those at a fixed
+    # exponent.
     seen = at.point[-1] >= SEEN * jnp.minimum(error[-1], error_apart[-1])
     dim = ~any_of(seen) & settings.shiny
     log_error = sigma * _root_inverse(total)
@@ -157,9 +158,9 @@ def _widest(
 ) -> Float[Array, "unknowns channels pixels"]:
     r"""Half of the interval that the profile allows at two standard errors.
 
-    For an exponent that costs $\Delta\phi$, a reflectance there may lie
-    $\sqrt{(4 \sigma^2 - \Delta\phi) v}$ from the best, with the variance $v$ of noise
-    1 where no bound holds anything.
+    For an exponent whose φ is higher by $\Delta\phi$, a reflectance may lie
+    $\sqrt{(4 \sigma^2 - \Delta\phi) v}$ from its best value there; $v$ is its variance
+    at noise 1 without bounds.
     """
     left = FAR**2 - _rise(at, profile, sigma)
     allowed = left >= 0
@@ -169,7 +170,8 @@ def _widest(
     for here, points, curvature in zip(at.point, profile.point, alone, strict=True):
         spread = left * sigma[None] * _root_inverse(curvature)
         off = jnp.abs(points - here[None]) + spread
-        # Infinity times 0 is nothing here: such an exponent costs all there is.
+        # NaN is 0 · ∞, where the reflectance is not identified. Exponents that the
+        # profile excludes add nothing.
         off = jnp.where(allowed, jnp.where(jnp.isnan(off), jnp.inf, off), 0)
         found.append(jnp.max(off, axis=0) / FAR)
     return jnp.stack(found)
@@ -178,7 +180,7 @@ def _widest(
 def _rise(
     at: At, profile: Profile, sigma: Array
 ) -> Float[Array, "candidates groups pixels"]:
-    """What candidates cost more than the solution, in variances of a sample."""
+    """Increase of φ from the solution to each candidate, in variances of a sample."""
     exact = (sigma > 0)[None]
     rise = profile.value - at.value[None]
     rise = rise / jnp.where(exact, sigma[None] ** 2, 1)
@@ -188,10 +190,10 @@ def _rise(
 def _ends(
     at: At, profile: Profile, t: Array, sigma: Array, box: Box
 ) -> tuple[Array, Array]:
-    r"""Between which exponents the profile allows any.
+    r"""Ends of the interval of log f that the profile allows.
 
-    The signed root of what an exponent costs is a straight line where the model is
-    linear: it is followed from candidate to candidate.
+    The signed root of the increase of φ is a straight line in log f where the model is
+    linear, so it is interpolated linearly between candidates.
 
     ??? cite "Source"
         Bates and Watts, *Nonlinear regression analysis and its applications*, 1988,
@@ -208,7 +210,7 @@ def _ends(
     high = jnp.where(rises, start + spacing * (FAR - here) / slope, t)
     falls = (here < -FAR) & (beyond >= -FAR)
     low = jnp.where(falls, start + spacing * (-FAR - here) / slope, t)
-    # A candidate at the end of the range that is allowed leaves that open.
+    # If the candidate at an end of the range is allowed, the interval ends there.
     high = jnp.where(root[-1] <= FAR, box.highest, jnp.max(high, axis=0))
     low = jnp.where(root[0] >= -FAR, box.lowest, jnp.min(low, axis=0))
     return low, high
@@ -221,7 +223,7 @@ def _root_inverse(curvature: Array) -> Array:
 
 
 def _where_wanted(wanted: Array, compute: Callable[[], T], otherwise: T) -> T:
-    """`compute()` where it is wanted, else `otherwise`; not at all if nobody wants it.
+    """`compute()` where `wanted`, else `otherwise`; skipped if no entry is true.
 
     The last axes of all leaves are those of `wanted`.
     """

@@ -1,8 +1,8 @@
-r"""The best reflectances of pixels at one exponent, and how the squares go on.
+r"""The best reflectances of pixels at one exponent, and derivatives of the cost there.
 
-For given f the best ρ is a tiny problem in a box, made of sums over the lights. What is
-left of the squares, $\phi(t)$ with $t = \log f$, is a function of one number, whose
-slope those sums give exactly: $\phi' = -2 \sum_c \rho_s\, S' \cdot r$.
+For given f the best ρ solves a small problem in a box, made of sums over the lights.
+The remaining sum of squares, $\phi(t)$ with $t = \log f$, is a function of one number,
+and the sums give its slope exactly: $\phi' = -2 \sum_c \rho_s\, S' \cdot r$.
 
 ??? cite "Source"
     Golub and Pereyra, *The differentiation of pseudo-inverses and nonlinear least
@@ -47,11 +47,11 @@ class Box(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """Sums over the images for one exponent, (channels, pixels) each, or for several.
+    """Sums over the images at one exponent, (channels, pixels) each, or at several.
 
     - `cross`: of S with the fixed columns.
     - `own`: S·S.
-    - `moment`: of S with the light that the columns leave.
+    - `moment`: of S with the residual of the fixed columns.
     """
 
     cross: Numbers
@@ -60,11 +60,11 @@ class Sums(NamedTuple):
 
 
 class Slopes(NamedTuple):
-    """The same of S' = dS / d log f.
+    """Sums over the images of S' = dS / d log f.
 
     - `cross`: of S' with the fixed columns.
     - `mixed`, `own`: S·S' and S'·S'.
-    - `moment`: of S' with the light that the columns leave.
+    - `moment`: of S' with the residual of the fixed columns.
     """
 
     cross: Numbers
@@ -74,15 +74,15 @@ class Slopes(NamedTuple):
 
 
 class At(NamedTuple):
-    r"""The best reflectances at one exponent, and how $\phi$ goes on from there.
+    r"""The best reflectances at one exponent, with value and derivatives of $\phi$.
 
-    A group of channels shares an exponent: all of them, or each is one.
+    The channels of a group share an exponent: one group of all, or one for each.
 
     - `point`: the columns' reflectances, then ρ_s, each (channels, pixels).
     - `free`: which of them are not held by a bound.
     - `value`: φ less a constant, (groups, pixels).
     - `slope`: φ'.
-    - `curvature`: φ'' as Gauss and Newton have it, ≥ 0.
+    - `curvature`: Gauss-Newton approximation of φ'', ≥ 0.
     """
 
     point: Numbers
@@ -125,7 +125,7 @@ def sum_with_slopes(
     angles: Angles,
     t: Float[Array, "groups #pixels"],
 ) -> tuple[Sums, Slopes]:
-    """The same with [`Slopes`][]."""
+    """[`Sums`][] and [`Slopes`][] of all channels."""
     height = lobes.at(t)
 
     def add(sums: tuple[Array, ...], image: tuple) -> tuple:
@@ -158,7 +158,7 @@ def sum_with_slopes(
 def _no_sums(
     columns: Columns, batch: tuple[int, ...] = ()
 ) -> tuple[Array, Array, Array]:
-    """Sums over no image of heights, and of their products, with the rows."""
+    """Zeros of the shapes of `cross`, `moment` and `own` of [`Sums`][]."""
     cross, moments, squares = (
         jnp.zeros((*batch, *rows.shape[2:]), rows.dtype) for rows in columns.rows
     )
@@ -166,7 +166,7 @@ def _no_sums(
 
 
 def _lights(angles: PyTree[Float[Array, "lobes pixels"]], rank: int) -> list[PyTree]:
-    """Those of each light of an image, as arrays of so many axes."""
+    """Angles of each light of an image, as arrays with `rank` axes."""
     count = jax.tree.leaves(angles)[0].shape[0]
     return [
         of_rank(jax.tree.map(lambda one, j=j: one[j], angles), rank)
@@ -175,14 +175,14 @@ def _lights(angles: PyTree[Float[Array, "lobes pixels"]], rank: int) -> list[PyT
 
 
 def _plus(sums: Array, rows: Array, parts: list[Array]) -> Array:
-    """Sums, and the products of rows with what a light is."""
+    """Sums plus the products of rows with `parts`, one for each light or pair."""
     for row, part in zip(rows, parts, strict=True):
         sums = sums + of_rank(row, sums.ndim) * of_rank(part, sums.ndim)
     return sums
 
 
 def _mixed_pairs(left: list[Array], right: list[Array]) -> list[Array]:
-    """As [`pairs`][], of the mean of left with right and right with left."""
+    """Mean of [`pairs`][] of left with right and of right with left."""
     both = zip(pairs(left, right), pairs(right, left), strict=True)
     return [left[0] * right[0]] if len(left) == 1 else [(a + b) / 2 for a, b in both]
 
@@ -218,7 +218,7 @@ def evaluate(
     t: Float[Array, "groups pixels"],
     box: Box,
 ) -> At:
-    """Everything at one exponent of each group: one exponential for each light."""
+    """Best reflectances, φ and its derivatives at one exponent for each group."""
     groups = len(t)
     sums, slopes = sum_with_slopes(columns, lobes, angles, t)
     best = best_reflectances(columns, sums, box, ROUNDS)
@@ -226,7 +226,7 @@ def evaluate(
     moved = tuple(x - x0 for x, x0 in zip(fixed, columns.start, strict=True))
     products = slope_gram(slopes)
     score = slopes.moment - dot(products, (*moved, specular))
-    # What of S' no reflectance that is free to move can imitate.
+    # Project the free columns out of S', since their reflectances adapt to f.
     held = tuple(jnp.where(f, p, 0) for f, p in zip(best.free, products, strict=True))
     imitated = solve(factorize(only(full_gram(columns, sums), best.free)), held)
     alone = jnp.maximum(slopes.own - dot(held, imitated), 0)

@@ -1,4 +1,4 @@
-"""What arrives at pixels from all lamps, whatever their normals are."""
+"""Light that arrives at pixels from all lights, independent of the normals."""
 
 from collections.abc import Callable
 from typing import NamedTuple, TypeVar
@@ -14,14 +14,15 @@ T = TypeVar("T")
 
 
 class Lamps(NamedTuple):
-    """Light at pixels. The last axis is the pixels, or 1 where all get the same.
+    """Light at pixels. The last axis is the pixels, or 1 if all get equal light.
 
     - `to_light`: (images, lights, 3, pixels) unit vectors; zeros where an image has
         fewer lights than another.
-    - `diffuse`, `specular`: (images, lights, channels, pixels): what a surface that
-        faces the light sends back for ρ_d = 1, and a highlight's centre for ρ_s = 1.
-    - `ambient`, `veil`: (images, channels, pixels): ambient light for ρ_a = 1, and what
-        fog adds.
+    - `diffuse`, `specular`: (images, lights, channels, pixels): reflected light of a
+        surface that faces the light for ρ_d = 1, and of a highlight's centre for
+        ρ_s = 1.
+    - `ambient`, `veil`: (images, channels, pixels): ambient light for ρ_a = 1, and the
+        light that fog adds.
     - `to_viewer`: (3, pixels) unit vectors.
     """
 
@@ -39,13 +40,13 @@ def make_lamps(
     to_viewer: Float[Array, "#pixels 3"],
     visibility: Float[Array, "images lobes #pixels"] | None = None,
 ) -> Lamps:
-    """The lamps of all images, in the order of the lighting's rows.
+    """Light at pixels in all images, in the order of the lighting's rows.
 
     **Arguments:**
 
-    - `position`: world units, (pixels, 3), or (1, 3) if it is the same for all.
-    - `to_viewer`: unit vectors, likewise.
-    - `visibility`: how much of each light arrives, in [0, 1]; `None` for all of it.
+    - `position`: world units, (pixels, 3), or (1, 3) if equal for all pixels.
+    - `to_viewer`: unit vectors, (pixels, 3) or (1, 3).
+    - `visibility`: fraction of each light that arrives, in [0, 1]; `None`: 1.
     """
     over_pixels = jax.vmap(lighting.arriving, in_axes=(None, 0), out_axes=-1)
     parts = [
@@ -61,17 +62,18 @@ def make_lamps(
 
 
 def at_pixels(function: Callable[..., T], *vectors: Float[Array, "3 #pixels"]) -> T:
-    """What a function of one pixel's vectors is at all of them; pixels come last.
+    """Apply a function of one pixel's vectors to all pixels, which come last.
 
-    The vectors are handed on as numbers that stand side by side: as rows of an array
-    with an axis of three, compilers take them one by one, at five times the price.
+    Each component of a vector is passed as a separate array over the pixels. As rows of
+    an array with an axis of three, XLA would process them one by one, which takes five
+    times as long.
     """
     pixels = max(vector.shape[1] for vector in vectors)
 
     def of_numbers(*numbers: tuple[Scalar, ...]) -> T:
         return function(*map(jnp.stack, numbers))
 
-    # What is the same for all is worked out once.
+    # Vectors that are equal for all pixels are not batched, so they are used once.
     each = [vector.shape[1] == pixels for vector in vectors]
     rows = [
         tuple(vector) if own else tuple(vector[:, 0])
@@ -82,7 +84,7 @@ def at_pixels(function: Callable[..., T], *vectors: Float[Array, "3 #pixels"]) -
 
 
 def grey(lamps: Lamps) -> Lamps:
-    """The mean over the channels, as one channel."""
+    """Lamps with one channel: the mean over the channels."""
     return lamps._replace(
         diffuse=jnp.mean(lamps.diffuse, axis=2, keepdims=True),
         specular=jnp.mean(lamps.specular, axis=2, keepdims=True),
@@ -92,9 +94,10 @@ def grey(lamps: Lamps) -> Lamps:
 
 
 def facing(lamps: Lamps) -> Float[Array, "images 3 pixels"]:
-    r"""$\sum_j e_j s_j$ of each image, grey: a matte surface shows $\rho\, n \cdot$ it.
+    r"""Light vector $\sum_j e_j s_j$ of each image, grey.
 
-    While none of its lights is behind the surface.
+    A matte surface shows $\rho\, n$ times this vector if none of the image's lights is
+    behind it.
     """
     strength = jnp.mean(lamps.diffuse, axis=2, keepdims=True)
     return jnp.sum(lamps.to_light * strength, axis=1)

@@ -1,7 +1,7 @@
-"""All images' lights, asked for one pixel.
+"""Lights of all images, evaluated at one pixel.
 
-Scenes whose lights are of the same kinds are stacked and batched with `vmap`: a hundred
-scenes of one lamp each compile as one.
+Scenes whose lights are of the same kinds are stacked and batched with `vmap`, so that a
+hundred scenes of one lamp each compile as one.
 """
 
 import equinox as eqx
@@ -28,8 +28,8 @@ class _Alike(eqx.Module):
 class Lighting(eqx.Module):
     """The lights of all images.
 
-    `order` says which image each of its rows is: images of one kind stand together.
-    `camera` is that of all scenes, if there is fog in any.
+    `order` has the number of the image of each row: images of one kind are consecutive.
+    `camera` is the camera of all scenes if any has fog, else `None`.
     """
 
     kinds: tuple[_Alike, ...]
@@ -43,7 +43,7 @@ class Lighting(eqx.Module):
 
     @property
     def directed(self) -> np.ndarray:
-        """(images, lobes): which lights come from a direction; rows as in `order`."""
+        """True for directed lights, (images, lobes); rows as in `order`."""
         images = sum(kind.ambient.shape[0] for kind in self.kinds)
         directed = np.zeros((images, self.lobes), bool)
         first = 0
@@ -56,13 +56,13 @@ class Lighting(eqx.Module):
 
     @property
     def surrounds(self) -> bool:
-        """Whether any light comes from all around."""
+        """True if any light comes from all around."""
         return not all(light.directed for kind in self.kinds for light in kind.lights)
 
     def around(
         self, position: Float[Array, "#pixels 3"], normal: Float[Array, "pixels 3"]
     ) -> Float[Array, "images 3 pixels"] | None:
-        """Diffuse light from all around, `None` where no light gives any."""
+        """Diffuse light from all around; `None` if no light surrounds the scene."""
         if not self.surrounds:
             return None
 
@@ -86,7 +86,7 @@ class Lighting(eqx.Module):
     def arriving(
         self, kind: _Alike, position: Vec3
     ) -> tuple[Array, Array, Array, Array, Array]:
-        """What arrives at one point in one image, whatever the normal there.
+        """Light that arrives at one point in one image, independent of the normal.
 
         **Arguments:** `kind`: one of `kinds`, but without the axis along scenes.
 
@@ -128,5 +128,5 @@ def make_lighting(scenes: tuple[Scene, ...]) -> Lighting:
 
 
 def _stack(*leaves: Array) -> Array:
-    # By way of NumPy: a hundred small arrays need no compilation.
+    # Stacked by NumPy, which needs no compilation for a hundred small arrays.
     return jnp.asarray(np.stack([np.asarray(leaf) for leaf in leaves]))

@@ -1,4 +1,4 @@
-"""Heights of highlights, whatever the exponent, light by light."""
+"""Heights of highlights as functions of the exponent, for each light."""
 
 import abc
 from collections.abc import Callable
@@ -12,20 +12,20 @@ from jaxtyping import Array, Float, PyTree
 
 from phongfit.reflectance import AbstractSpecular
 
-# Logarithm of the least height of a lobe that counts: products of smaller ones leave
-# the normal numbers of single precision, and those are slow.
+# Logarithm below which the power of a lobe is set to 0: products of smaller ones are
+# denormal in single precision, and those are slow.
 FAINTEST = -36.0
 DARK = -1e30
 """Stands for log 0: its exponential is 0 for every exponent."""
 
 Angles: TypeAlias = PyTree[Float[Array, "images lobes pixels"]]
-"""What lobes take of the geometry, for each light of an image, most often one."""
+"""Arguments of the lobes from the geometry, for each light of an image."""
 
 Angle: TypeAlias = PyTree[Float[Array, "..."]]
-"""What the lobe of one light takes of the geometry: as many axes as t has."""
+"""Argument of one light's lobe from the geometry, with as many axes as t."""
 
 Heights: TypeAlias = Callable[[Angle], tuple[Array, Array]]
-"""From a light's angles to its lobe's heights, and to their slopes in log f."""
+"""Function from a light's angles to its lobe's heights and their slopes in log f."""
 
 
 class AbstractLobes(eqx.Module):
@@ -37,20 +37,20 @@ class AbstractLobes(eqx.Module):
     def angles(
         self, cosine: PyTree[Float[Array, "..."]]
     ) -> PyTree[Float[Array, "..."]]:
-        """What is kept of the model's cosine."""
+        """Arguments of the lobes, computed once from the model's cosine."""
 
     @abc.abstractmethod
     def at(self, t: Float[Array, "*candidates groups #pixels"]) -> Heights:
-        """The heights at exponents e^t, of all lights one after another."""
+        """Function that gives heights at exponents e^t, to be called light by light."""
 
 
 class PowerLobes(AbstractLobes):
-    """Powers of one cosine, of any height."""
+    """Lobes that are powers of one cosine, times any height."""
 
     model: AbstractSpecular
 
     def angles(self, cosine: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Its logarithm, [`DARK`][] where it is not positive."""
+        """Logarithm of the cosine; [`DARK`][] where it is not positive."""
         positive = cosine > 0
         # Rounding can make a cosine larger than 1.
         logarithm = jnp.log(jnp.where(positive, cosine, 1))
@@ -74,7 +74,7 @@ class PowerLobes(AbstractLobes):
 
 
 class AnyLobes(AbstractLobes):
-    """Lobes of any form; their slopes are JAX's."""
+    """Lobes of any form, with slopes by automatic differentiation."""
 
     model: AbstractSpecular
 
@@ -94,21 +94,21 @@ class AnyLobes(AbstractLobes):
 
 
 def is_power(model: AbstractSpecular) -> bool:
-    """Whether its lobe is a power of one cosine, whatever its height."""
+    """True if a model's lobe is a power of one cosine, times any height."""
     dtype = jnp.result_type(float)
     vector = np.array([0, 0, 1], dtype)
     taken = jax.eval_shape(model.cosine, vector, vector, vector)
     if not isinstance(taken, jax.ShapeDtypeStruct):
         return False
     cosine, exponent = np.array([0.3, 0.9, 1, 1], dtype), np.array([1.7, 23] * 2, dtype)
-    # As one program: each step by itself would be one that is compiled.
+    # Jitted, since without it JAX compiles each operation separately.
     height = np.broadcast_to(jax.jit(model.lobe)(cosine, exponent), cosine.shape)
     power = height[2:] * (cosine**exponent)[:2]
     return np.allclose(height[:2], power, rtol=1e-3, atol=0)
 
 
 def in_numbers(model: AbstractSpecular) -> AbstractSpecular:
-    """A model with its own floats as Python's, so that programs are made for them.
+    """Model with its floats as Python numbers, so that they are compiled in.
 
     **Raises:** `ValueError` for a model that has arrays.
     """

@@ -73,15 +73,15 @@ class PixelFit(NamedTuple):
 
     - `ambient`, `diffuse`, `specular`: reflectances; `shininess`: exponents, one for
         each channel or one for all.
-    - `stderr`: standard errors of these four by name, infinite for what is not
-        identified and 0 for what was known.
+    - `stderr`: standard errors of these four by name, infinite if not identified and 0
+        if known.
     - `noise`: root mean square of the residuals per degree of freedom, in linear light,
         or in standard deviations of the samples.
     - `samples`: number of samples in use.
     - `flags`: bits of [`Flag`][].
-    - `normals`, `normals_stderr`: where sought, unit vectors in world axes and their
+    - `normals`, `normals_stderr`: if fitted, unit vectors in world axes and their
         errors in degrees.
-    - `weights`: where pixels share materials, probability of each material.
+    - `weights`: if pixels share materials, probability of each material.
     """
 
     ambient: Float[Array, "pixels 3"]
@@ -97,14 +97,14 @@ class PixelFit(NamedTuple):
     weights: Float[Array, "pixels materials"] | None = None
 
     def arrays(self) -> dict[str, Array]:
-        """All arrays, by the names that files of maps have for them."""
+        """All arrays, by their names in files of maps."""
         named: dict[str, Any] = self._asdict()
         errors = {f"stderr_{name}": e for name, e in named.pop("stderr").items()}
         return {name: a for name, a in named.items() if a is not None} | errors
 
 
 class Known(NamedTuple):
-    """Parameters of the material that are not unknown; of the exponent, the start.
+    """Known parameters of the material, and the start value of the exponent.
 
     (3,) each, and (1,) for a shared exponent.
     """
@@ -116,7 +116,7 @@ class Known(NamedTuple):
 
 
 class Outside(NamedTuple):
-    """What all pixels share: lights, known parameters, and the noise level.
+    """Values that all pixels share: lights, known parameters, and the noise level.
 
     `noise` is the standard deviation of a sample in linear light, 1 if
     `settings.weighted`; not read if `settings.noise_given` is false.
@@ -150,15 +150,15 @@ class _Job:
 
     @property
     def fixed(self) -> tuple[Float[Array, "images #channels #pixels"], ...]:
-        """The basis that no exponent changes."""
+        """Basis images that do not depend on the exponent."""
         return tuple(getattr(self.basis, name) for name in self.settings.columns)
 
     def columns(self, weight: Float[Array, "images #channels pixels"]) -> Columns:
-        """Columns of all channels for such weights."""
+        """Columns of all channels for given weights of the samples."""
         return make_columns(self.fixed, self.target, weight, self.basis.strength)
 
     def at(self, columns: Columns, t: Float[Array, "groups pixels"]) -> At:
-        """The solution at t. A highlight that is known, or none, has 0 strength."""
+        """Best reflectances at log exponents t; strength 0 if ρ_s is not unknown."""
         if not self.settings.shiny:
             cross, moments, squares = map(jnp.zeros_like, columns.rows)
             columns = columns._replace(cross=cross, moments=moments, squares=squares)
@@ -168,13 +168,13 @@ class _Job:
     def residual(
         self, at: At, t: Float[Array, "groups pixels"]
     ) -> Float[Array, "images channels pixels"]:
-        """(model − measured) · share."""
+        """Residuals (model − measured) · share."""
         return jax.lax.map(self._left(at, t), self._images)
 
     def squares(
         self, at: At, t: Float[Array, "groups pixels"]
     ) -> Float[Array, "groups pixels"]:
-        """The sum of squares of [`residual`][], which are not kept."""
+        """Sum of squares of [`residual`][], computed without storing the residuals."""
         left = self._left(at, t)
 
         def add(sum: Array, image: tuple) -> Array:
@@ -185,13 +185,13 @@ class _Job:
 
     @property
     def _images(self) -> tuple[Array, Array, Basis]:
-        """What residuals are made from, image by image."""
+        """Arrays from which residuals are computed, with images as the first axis."""
         return self.share, self.target, self.basis
 
     def _left(
         self, at: At, t: Float[Array, "groups pixels"]
     ) -> Callable[[tuple], Array]:
-        """The residuals of one of the images."""
+        """A function that computes the residuals of one image."""
         settings = self.settings
         lobes = settings.lobes if settings.shiny else None
         light = self.basis.light_of_image(settings.columns, at.point, lobes, t)
@@ -205,7 +205,7 @@ class _Job:
     def in_groups(
         self, values: Float[Array, "images channels pixels"]
     ) -> Float[Array, "groups pixels"]:
-        """The sum over the images and each group's channels."""
+        """Sum over the images and over each group's channels."""
         return in_groups(jnp.sum(values, axis=0), self.groups)
 
     def count(self) -> Float[Array, "groups pixels"]:
@@ -215,20 +215,20 @@ class _Job:
     def deviation(
         self, residual: Float[Array, "images channels pixels"]
     ) -> Float[Array, "groups pixels"]:
-        """Standard deviations of the residuals, which outliers do not reach."""
+        """Robust standard deviations of the residuals."""
         return self.each_group(median_deviation, residual)
 
     def each_group(
         self, function: Callable[[Array, Array], Array], residual: Array
     ) -> Float[Array, "groups pixels"]:
-        """A function of residuals, and of where they count, for each group."""
+        """`function(residuals, used)` of each group's samples."""
         rows = len(residual), self.groups, -1, residual.shape[-1]
         parts = residual.reshape(rows), (self.share > 0).reshape(rows)
         return jax.vmap(jax.vmap(function, in_axes=-1), in_axes=1)(*parts)
 
 
 class _SearchResult(NamedTuple):
-    """The exponents of all groups, and everything else.
+    """Exponents of all groups, reflectances, and the inputs of their errors.
 
     - `columns`: with the final weights of the samples.
     - `squares`: sum of squared residuals; `scale`: their robust standard deviation.
@@ -248,7 +248,7 @@ class _SearchResult(NamedTuple):
 
 
 def fit_pixels(tile: Tile, outside: Outside, settings: MapSettings) -> PixelFit:
-    """Materials of pixels, of each from its own samples alone.
+    """Fit the materials of pixels, each from its own samples alone.
 
     **Returns:** a [`PixelFit`][] whose arrays have the pixels as their first axis.
     """
@@ -268,21 +268,21 @@ def fit_pixels(tile: Tile, outside: Outside, settings: MapSettings) -> PixelFit:
     freedom = jnp.maximum(total - unknowns, 1)
     squares = found.squares
     if settings.loss.robust:
-        # Each group's own scale, which outliers do not reach.
+        # With a robust loss, outliers must not raise the noise level.
         squares = share_of_group * found.scale**2
     level = jnp.sqrt(in_groups(squares, 1)[0] / freedom)
     black = ~any_sample((share > 0) & (samples.target != 0))[0]
     identified = ~black & (enough | (settings.noise_given & (count >= unknowns)))
 
     misfit = jnp.zeros(level.shape, bool)
-    # Of a normal distribution a median knows no more than a third of the samples.
+    # A median is as precise as a mean square of about a third of the samples.
     heard = freedom * (MEDIAN if settings.loss.robust else 1)
     if settings.noise_given:
         misfit = identified & enough & ((level / noise) ** 2 > most_by_chance(heard))
     wider = students_t(heard)[None]
     sigma = (found.scale if settings.loss.robust else level[None]) * wider
     if settings.noise_given:
-        # What the model does not describe may pull as hard as it shows.
+        # Lack of fit biases the estimates: widen their errors by its size.
         sigma = jnp.where(misfit[None], level[None] * wider, noise)
     errors = standard_errors(
         found.at,
@@ -318,10 +318,10 @@ def fit_pixels(tile: Tile, outside: Outside, settings: MapSettings) -> PixelFit:
 
 
 def students_t(freedom: Array) -> Array:
-    """By how much intervals of 95 % are wider where residuals tell the noise.
+    """Factor on 95 % intervals if the noise is estimated from the residuals.
 
-    Student's t over the 1.96 of a normal distribution; between the entries of the
-    table nearly linear in the inverse of the degrees of freedom.
+    Student's t over the 1.96 of a normal distribution, interpolated between the entries
+    of the table, where it is nearly linear in the inverse of the degrees of freedom.
     """
     known = [1 / n for n in STUDENT]
     factors = [t / STUDENT[np.inf] for t in STUDENT.values()]
@@ -330,7 +330,7 @@ def students_t(freedom: Array) -> Array:
 
 
 def most_by_chance(freedom: Array) -> Array:
-    """What χ² a degree of freedom hardly ever exceeds if there is noise alone.
+    """Upper limit of χ² per degree of freedom if the residuals are noise alone.
 
     ??? cite "Source"
         Wilson and Hilferty, *The distribution of chi-square*, Proc. Natl. Acad. Sci.
@@ -349,7 +349,7 @@ def _box(settings: MapSettings) -> Box:
 def _less_known(
     target: Array, basis: Basis, known: Known, settings: MapSettings
 ) -> Array:
-    """The target without the light of parameters that are known."""
+    """Target minus the light of known parameters."""
     if "ambient" not in settings.names:
         target = target - known.ambient[None] * basis.ambient
     if "diffuse" not in settings.names:
@@ -361,7 +361,7 @@ def _less_known(
 
 
 def _solve(job: _Job, known: Known) -> _SearchResult:
-    """Fit the exponents, then the reflectances."""
+    """Fit the exponents, then the reflectances, and reweight for a robust loss."""
     settings, shape = job.settings, (job.groups, job.target.shape[-1])
     columns = job.columns(job.share**2)
     t, profile = jnp.broadcast_to(jnp.log(known.shininess), shape), None
@@ -376,10 +376,10 @@ def _solve(job: _Job, known: Known) -> _SearchResult:
 
 
 def _search(job: _Job, columns: Columns, t: Array) -> tuple[Array, Profile | None]:
-    """The best exponents, and their profile if one was computed.
+    """Find the best exponents, and return their profile if it was computed.
 
-    The start is the best of exponents over the whole range, unless the settings give
-    one.
+    The search starts from the best exponent of a scan over the whole range, or from the
+    known exponent if `settings.scanned` is false.
     """
     box, lobes, angles = job.box, job.settings.lobes, job.basis.angles
     low, high = (jnp.full_like(t, edge) for edge in (box.lowest, box.highest))
@@ -399,7 +399,7 @@ def _search(job: _Job, columns: Columns, t: Array) -> tuple[Array, Profile | Non
 
 
 def _variance(job: _Job, columns: Columns, value: Array) -> Array:
-    """Variance of a sample: as given, or from the residuals at a value of φ."""
+    """Variance of a sample: given, or estimated from the residuals at a value of φ."""
     if job.settings.noise_given:
         return job.noise**2 * jnp.ones_like(value)
     groups = len(value)
@@ -410,15 +410,15 @@ def _variance(job: _Job, columns: Columns, value: Array) -> Array:
 
 
 def _reweighted(job: _Job, at: At, t: Array) -> _SearchResult:
-    r"""Iteratively reweighted least squares from a plain solution.
+    r"""Fit by iteratively reweighted least squares, starting from least squares.
 
     Errors are those of least squares with the final weights w, held, and with
     $\sigma^2$ times the mean of w and the square of [`widening`][]: rejected samples do
     not count as information on the exponent.
 
     There are several starts, each but the first without a group of samples, since an
-    outlier in the highlight may attract the plain solution. The result of lowest loss
-    is returned.
+    outlier in the highlight may attract the least-squares solution. The result of
+    lowest loss is returned.
 
     ??? cite "Source"
         Rousseeuw and Van Driessen, *Computing LTS regression for large data sets*, Data
@@ -459,7 +459,7 @@ def _reweighted(job: _Job, at: At, t: Array) -> _SearchResult:
         return _chosen(unfinished(state), step(state), state)
 
     def begin(left: Array) -> tuple[At, Array]:
-        """Solution of all samples but one group."""
+        """Solution without the samples of one group."""
         columns = job.columns(whole * left)
         begun = t
         if settings.scanned:
@@ -498,7 +498,7 @@ def _reweighted(job: _Job, at: At, t: Array) -> _SearchResult:
 
     wider = job.each_group(widened, residual)
     if settings.noise_given:
-        # No loss says more of noise that is known than least squares.
+        # If the noise is known, no loss gives smaller errors than least squares.
         wider = jnp.maximum(wider, 1)
     wider = wider * jnp.sqrt(kept / jnp.maximum(count, 1))
     squares = job.squares(at, t)
@@ -506,19 +506,19 @@ def _reweighted(job: _Job, at: At, t: Array) -> _SearchResult:
 
 
 def _chosen(which: Array, new: "_Rounds", old: "_Rounds") -> "_Rounds":
-    """The new where it is wanted: leaves of channels, or of groups of them."""
+    """`new` where `which` is true, else `old`, for each channel or group."""
     return jax.tree.map(lambda one, other: jnp.where(which, one, other), new, old)
 
 
 def _group(job: _Job) -> Array:
-    """Samples in groups of which each has a share of every channel's lights."""
+    """Group number of each sample: every group has samples of every channel."""
     images, channels, _ = job.target.shape
     number = np.arange(channels) + np.arange(images)[:, None]
     return jnp.asarray(number % GROUPS)[..., None]
 
 
 def _is_better(job: _Job, residual: Array, other: Array) -> Array:
-    """Whether a loss finds less left over, at the smaller of both scales."""
+    """True where `residual` has a lower loss than `other`, at the smaller scale."""
     scale = job.noise
     if not job.settings.noise_given:
         scale = jnp.minimum(job.deviation(residual), job.deviation(other))
@@ -531,7 +531,7 @@ def _is_better(job: _Job, residual: Array, other: Array) -> Array:
 
 
 class _Rounds(NamedTuple):
-    """Where reweighting stands: the solution, and whether it has come to rest."""
+    """State of the reweighting: the solution, and whether the exponent has settled."""
 
     at: At
     t: Array
@@ -546,7 +546,7 @@ def _before_rounds(at: At, t: Array) -> _Rounds:
 
 
 class _Attempts(NamedTuple):
-    """The best of several starts, what it leaves over, and how many were tried."""
+    """Best result of several starts, its residuals, and the number of starts tried."""
 
     best: _Rounds
     residual: Array
@@ -556,7 +556,7 @@ class _Attempts(NamedTuple):
 def _values(
     found: _SearchResult, known: Known, settings: MapSettings
 ) -> tuple[Array, Array, Array, Array]:
-    """The four parameters of the solution, (pixels, channels) each."""
+    """The four parameters of the solution; shape (pixels, channels)."""
     shape = found.at.point[-1].shape
 
     def leaf(name: str) -> Array:

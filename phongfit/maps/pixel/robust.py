@@ -1,4 +1,4 @@
-"""Losses as weights: what an outlier still counts, and what that does to errors."""
+"""Weights of residuals under a robust loss, and their effect on standard errors."""
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +10,7 @@ from phongfit.fitting.problem.losses import AbstractLoss
 def loss_weights(
     loss: AbstractLoss, residual: Float[Array, "*batch"]
 ) -> Float[Array, "*batch"]:
-    r"""$\rho'(z)$ at $z = r^2$: the weight that makes least squares of a loss.
+    r"""Weights $\rho'(z)$ at $z = r^2$ of iteratively reweighted least squares.
 
     **Arguments:** `residual`: in standard deviations.
     """
@@ -20,14 +20,14 @@ def loss_weights(
 
     z = jnp.maximum(residual**2, jnp.finfo(residual.dtype).eps)
     _, slope = jax.jvp(cost, (z,), (jnp.ones_like(z),))
-    # Rounding can push the weight of a far outlier below its 0.
+    # Rounding can make the weight of a far outlier negative.
     return jnp.maximum(slope, 0)
 
 
 def loss_scores(
     loss: AbstractLoss, residual: Float[Array, "*batch"]
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-    r"""$\psi(r) = r\, \rho'(r^2)$ and its slope, of the weights that maps use.
+    r"""Score $\psi(r) = r\, \rho'(r^2)$ and its slope, for the weights of maps.
 
     **Arguments:** `residual`: in standard deviations.
     """
@@ -44,9 +44,9 @@ def widening(
     used: Bool[Array, "*batch"],
     unknowns: int = 0,
 ) -> Float[Array, ""]:
-    r"""By how much a loss widens errors: $K \sqrt{E\,\psi^2} / E\,\psi'$.
+    r"""Factor on standard errors by a loss: $K \sqrt{E\,\psi^2} / E\,\psi'$.
 
-    Of n samples and p unknowns $E\,\psi^2$ is a sum over n - p, and
+    For n samples and p unknowns $E\,\psi^2$ is a sum divided by n - p, and
     $K = 1 + \frac pn \operatorname{var} \psi' / (E\,\psi')^2$.
 
     **Arguments:**
@@ -63,7 +63,7 @@ def widening(
     square = jnp.sum(jnp.where(used, score**2, 0)) / freedom
     steepness = jnp.sum(jnp.where(used, slope, 0)) / count
     spread = jnp.sum(jnp.where(used, (slope - steepness) ** 2, 0)) / count
-    # Where nearly all samples are outliers, the loss has no slope and says nothing.
+    # If nearly all samples are outliers, the loss is flat and the error infinite.
     identified = steepness > 0.01
     steepness = jnp.where(identified, steepness, 1)
     more = 1 + unknowns / count * spread / steepness**2

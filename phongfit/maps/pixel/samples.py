@@ -1,4 +1,7 @@
-"""What pixels measure under many lights, and what arrives there. Pixels come last."""
+"""Measured samples of pixels under many lights, and the light that arrives there.
+
+Pixels are the last axis.
+"""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -15,19 +18,19 @@ from phongfit.maps.pixel.small import in_groups
 
 
 class Tile(NamedTuple):
-    """Geometry and measured light of pixels; of padding nothing is used.
+    """Geometry and measured light of pixels; padding is never used.
 
     - `target`: (images, pixels, 3), in the order of the lighting's rows: light, or
         whole numbers that stand for it.
-    - `used`: the same or (1, pixels, 3) or (1, pixels, 1): which samples count, or how
-        much: 1, or the inverse of the sample's noise; 0 where it is left out.
+    - `used`: (images, pixels, 3), (1, pixels, 3) or (1, pixels, 1), weights of the
+        samples: 1, or the inverse of the sample's noise; 0 where it is left out.
     - `normal`: (pixels, 3).
-    - `position`, `to_viewer`: (pixels, 3), or (1, 3) where they are the same for all.
+    - `position`, `to_viewer`: (pixels, 3), or (1, 3) if equal for all pixels.
     - `visibility`: (images, lobes, pixels), or `None` without shadows.
     - `table`: (levels,) or (images, levels), the light of each whole number; `None`
-        where the target is light.
+        if the target is light.
 
-    As it is read, `target` and `used` lack the padding: see [`padded`][].
+    `target` and `used` are read without padding: see [`padded`][].
     """
 
     target: Shaped[Any, "images pixels 3"]
@@ -59,7 +62,7 @@ class Tile(NamedTuple):
         ]
 
     def padded(self) -> "Tile":
-        """The tile with `target` and `used` as long as `normal`; what is added is 0."""
+        """The tile with `target` and `used` padded with 0 to the length of `normal`."""
         missing = len(self.normal) - self.target.shape[1]
         pad = (0, 0), (0, missing), (0, 0)
         return self._replace(
@@ -67,11 +70,11 @@ class Tile(NamedTuple):
         )
 
     def rows(self, rows: Int[Array, " n"]) -> "Tile":
-        """Some pixels of a tile whose arrays are those of JAX."""
+        """Some pixels of a tile of JAX arrays."""
         return self._each(lambda array, axis: jnp.take(array, rows, axis, mode="clip"))
 
     def span(self, start: Int[Array, ""], size: int) -> "Tile":
-        """So many pixels that follow one another, which takes a tenth of the time."""
+        """`size` consecutive pixels, in a tenth of the time that `rows` takes."""
         return self._each(
             lambda array, axis: jax.lax.dynamic_slice_in_dim(array, start, size, axis)
         )
@@ -92,12 +95,11 @@ class Tile(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """What pixels measure.
+    """Measured samples of pixels.
 
-    - `target`: (images, channels, pixels), linear light, without fog and 0 where it may
-        not be used.
-    - `share`: the inverse of each sample's noise, or 1; 0 where it may not be used.
-    - `lamps`: what arrives.
+    - `target`: (images, channels, pixels), linear light without fog; 0 if unused.
+    - `share`: the inverse of each sample's noise, or 1; 0 if unused.
+    - `lamps`: the light that arrives.
     """
 
     target: Float[Array, "images channels pixels"]
@@ -108,7 +110,7 @@ class Samples(NamedTuple):
 def measured(
     tile: Tile, lighting: Lighting, settings: MapSettings
 ) -> tuple[Samples, Float[Array, "#images #pixels"]]:
-    """What pixels measure, and how many of their samples in an image are no numbers."""
+    """Samples of a tile, and the number of samples per image that are not finite."""
     target = _light(pixels_last(tile.target), tile.table)
     finite = jnp.isfinite(target) if tile.table is None else jnp.array(True)
     if settings.exactly:
@@ -119,10 +121,10 @@ def measured(
     share = jnp.where(sound, given, 0)
     lamps = make_lamps(lighting, tile.position, tile.to_viewer, tile.visibility)
     light = jnp.where(share > 0, target - lamps.veil, 0)
-    # A table has finite numbers alone.
+    # A table has only finite numbers.
     lost = jnp.zeros((1, 1), light.dtype)
     if tile.table is None:
-        # As numbers: sums of flags are slow.
+        # As floats, since sums of booleans are slow.
         unused = jnp.where(finite | (given <= 0), 0.0, 1.0).astype(light.dtype)
         lost = in_groups(unused, 1)[:, 0]
     return Samples(light, share, lamps), lost
@@ -131,7 +133,7 @@ def measured(
 def _light(
     target: Array, table: Array | None
 ) -> Float[Array, "images channels pixels"]:
-    """What whole numbers stand for."""
+    """Light that the target's whole numbers stand for."""
     if table is None:
         return target
     if table.ndim == 2:
@@ -142,5 +144,5 @@ def _light(
 
 
 def pixels_last(values: Shaped[Array, "*images pixels channels"]) -> Array:
-    """(…, channels, pixels), in that order in memory."""
+    """Array of shape (…, channels, pixels), contiguous along the pixels."""
     return jnp.stack([values[..., k] for k in range(values.shape[-1])], axis=-2)

@@ -1,4 +1,4 @@
-r"""The best exponents of pixels: a scan over log f, then steps of Newton's kind."""
+r"""The best exponents of pixels: a scan over log f, then quasi-Newton steps."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -19,29 +19,30 @@ from phongfit.maps.pixel.exponent import (
 from phongfit.maps.pixel.lobes import AbstractLobes, Angles
 from phongfit.maps.pixel.small import Numbers, in_groups
 
-# Candidates of a scan are a factor of 2 apart.
+# Distance of a scan's candidates in log f: a factor of 2.
 SPACING = np.log(2).item()
-# Rounds of the box problem where it only ranks candidates.
+# Rounds of the box problem if it only ranks candidates.
 FEW_ROUNDS = 2
-# No step is longer, in log f: beyond a factor of 2 the slope says little.
+# Longest step in log f: the slope does not predict φ beyond a factor of 2 in f.
 LONGEST = 0.7
-# How far a curvature may be from that of Gauss and Newton to be expected once more.
+# Range to which the ratio of a measured curvature to the Gauss-Newton curvature is
+# clipped before later steps use it.
 BENT = 0.1, 10
-# Share of the way to a point that was too far at which the next may be tried.
+# Least fraction of the way to a rejected point at which the next one may be tried.
 NEAREST = 0.05
-# Points so near in log f have slopes whose difference may be rounding, in units of the
-# root of the precision.
+# Distance in log f below which a difference of slopes may be rounding, in units of the
+# root of the machine precision.
 CLOSE = 30
-# Share of a value that its rounding may make up, in units of the precision's.
+# Relative rounding of φ, in units of the machine precision.
 ROUNDED = 500
-# A search has ended where the next step is shorter than this, or than this share of the
+# Converged: the next step in log f is shorter than this, or than this fraction of the
 # standard error.
 SHORTEST = 1e-3
 SETTLED = 0.05
 
 
 class Profile(NamedTuple):
-    r"""The best reflectances at exponents all over their range.
+    r"""The best reflectances at exponents over the whole range.
 
     - `t`: (candidates,) logarithms of the exponents, rising.
     - `value`: (candidates, groups, pixels) $\phi$ less a constant.
@@ -67,13 +68,13 @@ def survey(
 
 
 def _candidates(box: Box) -> Float[np.ndarray, " candidates"]:
-    """Exponents of a scan: a factor of 2 apart, from the lowest on."""
+    """Log exponents of a scan, a factor of 2 apart, from the lowest on."""
     count = max(int(np.ceil((box.highest - box.lowest) / SPACING - 1e-6)), 1)
     return box.lowest + SPACING * np.arange(count)
 
 
 def best_candidate(profile: Profile, box: Box) -> Float[Array, "groups pixels"]:
-    """The log f of least value, refined by a parabola through its neighbours."""
+    """The log f of lowest φ, refined by a parabola through its neighbours."""
     count = len(_candidates(box))
     value = profile.value[:count]
     best = jnp.argmin(value, axis=0)
@@ -90,13 +91,13 @@ def best_candidate(profile: Profile, box: Box) -> Float[Array, "groups pixels"]:
 
 
 class Descent(NamedTuple):
-    r"""Where a search ended.
+    r"""End of a search.
 
-    - `t`: the best, or what one more short step makes of it.
-    - `value`, `slope`: $\phi$ less a constant, and $\phi'$, at the best that was tried.
-    - `curvature`: $\phi''$ there as Gauss and Newton have it.
-    - `bend`: the curvature over that.
-    - `ended`: whether what is left to go is too short to matter.
+    - `t`: the best log f, with the next step added if that is short.
+    - `value`, `slope`: $\phi$ less a constant, and $\phi'$, at the best point tried.
+    - `curvature`: Gauss-Newton approximation of $\phi''$ there.
+    - `bend`: ratio of the measured curvature to that approximation.
+    - `ended`: whether the search has converged.
     """
 
     t: Array
@@ -108,15 +109,15 @@ class Descent(NamedTuple):
 
 
 class _Search(NamedTuple):
-    r"""Where the search stands.
+    r"""State of the search.
 
-    - `t`: to be looked at next, `step` from the best so far.
-    - `best`, `value`, `slope`, `curvature`: the best so far, $\phi$ there, $\phi'$ and
-        $\phi''$ as Gauss and Newton have it.
-    - `left`, `right`: the bottom lies between them.
-    - `bend`: the curvature, over that of Gauss and Newton.
-    - `gain`: by how much the next step is expected to lower $\phi$.
-    - `done`: how many steps were made.
+    - `t`: the next point to evaluate, `step` from the best so far.
+    - `best`, `value`, `slope`, `curvature`: the best point so far, with $\phi$,
+        $\phi'$ and the Gauss-Newton approximation of $\phi''$ there.
+    - `left`, `right`: a bracket of the minimum.
+    - `bend`: ratio of the measured curvature to that approximation.
+    - `gain`: expected decrease of $\phi$ by the next step.
+    - `done`: number of steps made.
     """
 
     t: Array
@@ -145,33 +146,33 @@ def refine_exponents(
     most: Int[Array, ""] | int = 0,
     variance: Callable[[Array], Array] | None = None,
 ) -> Descent:
-    r"""A better t: steps down $\phi$ between `low` and `high`.
+    r"""Minimise $\phi$ over t between `low` and `high`.
 
-    Newton's steps on the exact slope. The curvature is the difference of two slopes or,
-    until two are known, that of Gauss and Newton, which is several times too large or
-    too small where the residuals are those of a photograph. What leads up, and what
-    leads down too far, brackets the bottom; a step out of the bracket is halved.
+    The steps are Newton's, with the exact slope. The curvature comes from the
+    difference of two slopes; before there are two, it is the Gauss-Newton curvature,
+    which is wrong by a factor of several for residuals of photographs. Points beyond
+    the minimum on either side bracket it; a step out of the bracket is halved.
 
     **Arguments:**
 
-    - `steps`: so many are made in any case.
-    - `bend`: the curvature over that of Gauss and Newton, to begin with.
-    - `most`: so many are made at most where the bottom is not reached sooner.
-    - `variance`: from $\phi$ to the variance of a sample, by which that is judged.
+    - `steps`: minimum number of steps.
+    - `bend`: initial ratio of the curvature to the Gauss-Newton curvature.
+    - `most`: maximum number of steps if the search does not converge sooner.
+    - `variance`: from $\phi$ to the variance of a sample, for the test of convergence.
     """
     precision = jnp.finfo(start.dtype).eps
     rounding, close = ROUNDED * precision, CLOSE * precision**0.5
 
     def step(search: _Search) -> _Search:
         at = evaluate(columns, lobes, angles, search.t, box)
-        # Differences below rounding must not send the search back.
+        # A rise of φ within rounding is accepted: it is not a real increase.
         accept = at.value <= search.value + rounding * jnp.abs(search.value)
         moved = search.t - search.best
         secant = (at.slope - search.slope) / jnp.where(moved != 0, moved, 1)
         best = jnp.where(accept, search.t, search.best)
         slope = jnp.where(accept, at.slope, search.slope)
         expected = jnp.where(accept, at.curvature, search.curvature)
-        # Where the slope rises, or the point lies above the best, the bottom is past.
+        # The minimum lies before a point where φ rises or is above the best value.
         upward = jnp.where(accept, at.slope, moved)
         left = jnp.where(upward < 0, search.t, search.left)
         right = jnp.where(upward > 0, search.t, search.right)
@@ -180,7 +181,8 @@ def refine_exponents(
         bend = secant / jnp.where(at.curvature > 0, at.curvature, jnp.inf)
         bend = jnp.where(measured, jnp.clip(bend, *BENT), search.bend)
         newton = -slope / jnp.where(curvature > 0, curvature, jnp.inf)
-        # Slopes alone stand still before a wall: values, too, tell where the bottom is.
+        # Steps from slopes alone can stall before a steep rise: after a rejected point,
+        # the cubic uses the values as well.
         between = _cubic(search.slope, at.slope, at.value - search.value, moved)
         newton = jnp.where(accept, newton, between)
         t = best + jnp.clip(newton, -LONGEST, LONGEST)
@@ -233,20 +235,21 @@ def refine_exponents(
         jnp.zeros(start.shape, jnp.int32),
     )
     last = jax.lax.while_loop(lambda s: jnp.any(unfinished(s)), go_on, first)
-    # The last step has not been tried: a short one is safe, near the bottom.
+    # The last step was not evaluated. A short one is safe: it is near the minimum.
     t = jnp.where(jnp.abs(last.step) < 0.1, last.t, last.best)
     return Descent(t, last.value, last.slope, last.curvature, last.bend, ended(last))
 
 
 def _cubic(slope: Array, beyond: Array, rise: Array, step: Array) -> Array:
-    """How far from a point the bottom is of the cubic through it and a higher one.
+    """Distance to the minimum of the cubic through a point and a higher one.
 
-    Where that is not a good way between them, the middle.
+    Half of the way if that minimum is too close to either point.
 
     ??? cite "Source"
         Nocedal and Wright, *Numerical optimization*, 2006, equation 3.59.
 
-    **Arguments:** `slope`, `beyond`: at both; `rise`, `step`: from one to the other.
+    **Arguments:** `slope`, `beyond`: slopes at the two points; `rise`, `step`:
+    differences of value and position between them.
     """
     length = jnp.where(step != 0, step, 1)
     first = slope + beyond - 3 * rise / length

@@ -1,4 +1,4 @@
-"""What a fit of every pixel looks for, and how: fixed when it is compiled."""
+"""Unknowns and options of a fit of every pixel, fixed when it is compiled."""
 
 import dataclasses
 import math
@@ -9,34 +9,35 @@ from phongfit.maps.pixel.lobes import AbstractLobes, AnyLobes, PowerLobes
 from phongfit.reflectance import AbstractSpecular, BlinnPhong
 
 COLUMNS = ("ambient", "diffuse")
-"""Reflectances whose basis no exponent changes."""
+"""Reflectances whose basis does not depend on the exponent."""
 
 MAP_PARAMETERS = (*COLUMNS, "specular", "shininess")
 
 MOST_MATERIALS = 6
-"""So many materials pixels share at most."""
+"""Maximum number of shared materials."""
 
 
 @dataclasses.dataclass(frozen=True)
 class MapSettings:
-    """How one pixel is fitted.
+    """Settings of the fit of a pixel.
 
     - `names`: the unknowns, a subset of `MAP_PARAMETERS`.
     - `bounds`: (low, high) of each of `MAP_PARAMETERS`.
     - `shared`: whether the channels share one exponent.
-    - `model`: of the highlight, its own numbers as Python's; `power`: whether its lobe
-        is a power of one cosine.
-    - `loss`: how much a residual counts.
-    - `scanned`: whether the exponent is looked for everywhere, or only downhill from
-        where it starts.
+    - `model`: specular model, its parameters as Python numbers; `power`: whether its
+        lobe is a power of one cosine.
+    - `loss`: of the residuals.
+    - `scanned`: whether the exponent is searched over its whole range, or only
+        downhill from its start.
     - `min_cosine`: a sample that no light reaches at a cosine above this is left out.
     - `noise_given`: whether the noise is known, or estimated from each pixel's
         residuals.
-    - `weighted`: whether each sample's weight is the inverse of its own noise.
-    - `normals`: whether normals are given, or sought with the material.
-    - `one_specular`: whether the channels share ρ_s; only where normals are sought.
-    - `materials`: how many pixels share, `"auto"` to find out, `None` for each its own.
-    - `cutoff`: values from this one on are saturated; `exactly`: only this one is.
+    - `weighted`: whether each sample is weighted with the inverse of its noise.
+    - `normals`: whether normals are given, or fitted with the material.
+    - `one_specular`: whether the channels share ρ_s; only if normals are fitted.
+    - `materials`: number of shared materials, `"auto"` to choose it from the data;
+        `None`: pixels share no material.
+    - `cutoff`: values from this one on are saturated; `exactly`: only this value is.
     """
 
     names: tuple[str, ...] = MAP_PARAMETERS
@@ -57,17 +58,17 @@ class MapSettings:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """The unknowns that the exponent does not touch."""
+        """Unknown reflectances whose basis does not depend on the exponent."""
         return tuple(name for name in COLUMNS if name in self.names)
 
     @property
     def shiny(self) -> bool:
-        """Whether the strength of the highlight is unknown."""
+        """True if the strength of the highlight is unknown."""
         return "specular" in self.names
 
     @property
     def searched(self) -> bool:
-        """Whether the exponent is unknown."""
+        """True if the exponent is unknown."""
         return "shininess" in self.names
 
     def bound(self, name: str) -> tuple[float, float]:
@@ -86,7 +87,7 @@ class MapSettings:
         return math.log(low), math.log(high)
 
     def unknowns(self, channels: int = 3) -> int:
-        """How many numbers are unknown in a pixel of so many channels."""
+        """Number of unknowns in a pixel with a given number of channels."""
         exponents = 1 if self.shared else channels
         own = len(self.columns) + (self.shiny and not self.one_specular)
         shared = (self.shiny and self.one_specular) + 2 * (self.normals == "fit")

@@ -1,8 +1,8 @@
 r"""Linear algebra of one to four unknowns, written out number by number.
 
-A library call for a matrix of 3 × 3 costs more than all else that a pixel needs. So a
-vector is a tuple of numbers here and a symmetric matrix a tuple of the rows of its
-lower triangle: batched, each entry is one array with the pixels side by side.
+A library call for a 3 × 3 matrix costs more than the rest of a pixel's fit. A vector is
+therefore a tuple of numbers, and a symmetric matrix a tuple of the rows of its lower
+triangle. In a batch, each entry is an array whose last axis is the pixels.
 """
 
 from collections.abc import Callable
@@ -18,7 +18,7 @@ Triangle: TypeAlias = tuple[Numbers, ...]
 
 T = TypeVar("T")
 
-# Images of a run.
+# Number of images that `sum_over_images` adds per step of its loop.
 RUN = 4
 
 
@@ -30,11 +30,11 @@ Otherwise XLA removes barriers on a CPU before it fuses operations.
 
 
 def optimization_barrier(values: T) -> T:
-    """The same values, computed once and kept.
+    """Return the values unchanged, and have XLA compute them once.
 
-    XLA fuses each result with everything that it depends on, so intermediate values are
-    computed anew for each of several results; in a chain of solutions that multiplies.
-    Measured on two cores with 96² pixels, warm: maps with normals sought under 49
+    XLA fuses each result with everything that it depends on, so it computes
+    intermediate values again for each result; in a chain of solutions that multiplies.
+    Measured on two cores with 96² pixels, warm: maps with fitted normals under 49
     lights take 2.5 s with the barriers of this module and of `maps/normals`, 6.3 s
     without those of this module, 17 to 22 s without any.
     """
@@ -44,8 +44,9 @@ def optimization_barrier(values: T) -> T:
 class Factors(NamedTuple):
     r"""$H = L D L^\top$: rows of L below its diagonal, and the inverses of D.
 
-    A direction that rounding alone could have made has an inverse of 0: nothing is
-    known along it, and nothing moves. `last` is the last entry of D.
+    If an entry of D is within rounding of 0, its inverse is set to 0: the data do not
+    determine that direction, and solutions do not move along it. `last` is the last
+    entry of D.
     """
 
     lower: Triangle
@@ -54,7 +55,7 @@ class Factors(NamedTuple):
 
 
 def entry(matrix: Triangle, i: int, j: int) -> Array:
-    """One number of a symmetric matrix."""
+    """One entry of a symmetric matrix."""
     return matrix[max(i, j)][min(i, j)]
 
 
@@ -94,7 +95,7 @@ def factorize(matrix: Triangle, last: int | None = None) -> Factors:
 
 
 def solve(factors: Factors, vector: Numbers) -> Numbers:
-    """The x of $H x = b$; 0 for unknowns that rounding hides."""
+    """Solution x of $H x = b$; 0 for unknowns whose curvature is lost in rounding."""
     size = len(vector)
     forward: list[Array] = []
     for i in range(size):
@@ -110,7 +111,7 @@ def solve(factors: Factors, vector: Numbers) -> Numbers:
 
 
 def only(matrix: Triangle, free: Numbers) -> Triangle:
-    """The matrix with unknowns that are not free cut out: rows of the identity."""
+    """Matrix whose rows and columns of held unknowns are those of the identity."""
     return tuple(
         tuple(
             jnp.where(free[i] & free[j], matrix[i][j], 1 if i == j else 0)
@@ -138,15 +139,16 @@ def dot(a: Numbers, b: Numbers) -> Array:
 
 
 def curvatures(matrix: Triangle) -> Numbers:
-    """For each unknown: its curvature when the others adapt to it.
+    """Curvature of each unknown when the others adapt to it.
 
-    The inverse is its variance; 0 where rounding, or the others, hide it.
+    Its inverse is the unknown's variance. It is 0 if it is lost in rounding, or if the
+    other unknowns can compensate for this one.
     """
     return tuple(factorize(matrix, last=k).last for k in range(len(matrix)))
 
 
 class Boxed(NamedTuple):
-    """The minimum of a quadratic in a box: where, how deep, and which are free."""
+    """Minimum of a quadratic in a box: its point, its value, and the free unknowns."""
 
     point: Numbers
     value: Array
@@ -159,9 +161,9 @@ def minimize_in_box(
     r"""The $x$ in $[l, u]$ that minimises $\tfrac12 x^\top H x - b \cdot x$.
 
     A primal-dual active-set method: each round solves for the free unknowns, holds
-    those that left the box at their bound, and frees those that want to come back. For
-    three unknowns six rounds have always been enough; the best of all rounds is
-    kept, should they go round in circles. Rounds end where nothing changes any more.
+    those that left the box at their bound, and frees those whose gradient points back
+    inside. Six rounds have always been enough for three unknowns. Rounds end when the
+    active set no longer changes; the best of all rounds is returned, in case of cycles.
 
     ??? cite "Source"
         Hintermüller, Ito and Kunisch, *The primal-dual active set strategy as a
@@ -218,7 +220,7 @@ def minimize_in_box(
 
 
 class _Rounds(NamedTuple):
-    """What is held at which bound, the best so far, and whether to go on."""
+    """State of the rounds: unknowns held at each bound, and the best point so far."""
 
     below: Numbers
     above: Numbers
@@ -239,7 +241,7 @@ def _better(new: Boxed, old: Boxed) -> Boxed:
 
 
 def of_rank(values: T, rank: int) -> T:
-    """The same with axes of length 1 before the others."""
+    """Arrays with axes of length 1 prepended, up to `rank` axes."""
 
     def spread(one: Array) -> Array:
         return one.reshape((1,) * (rank - one.ndim) + one.shape)
@@ -253,7 +255,7 @@ def no_triangle(nothing: Array, size: int) -> Triangle:
 
 
 def add_products(sums: Triangle, left: Numbers, right: Numbers) -> Triangle:
-    """A symmetric matrix and the products of two vectors."""
+    """Symmetric matrix plus the products of the entries of two vectors."""
     return tuple(
         tuple(s + left[i] * right[j] for j, s in enumerate(row))
         for i, row in enumerate(sums)
@@ -263,7 +265,7 @@ def add_products(sums: Triangle, left: Numbers, right: Numbers) -> Triangle:
 def in_groups(
     values: Float[Array, "*batch channels pixels"], groups: int
 ) -> Float[Array, "*batch groups pixels"]:
-    """Summed over the channels that share an exponent: over all, or each alone."""
+    """Sum over the channels of each group: one group of all, or a group for each."""
     if values.shape[-2] == groups:
         return values
     # Row by row: a sum over an axis of three is slow.
@@ -276,7 +278,10 @@ def in_groups(
 def any_sample(
     flags: Bool[Array, "images *batch channels #pixels"],
 ) -> Bool[Array, "*batch 1 #pixels"]:
-    """Whether it holds for any image and channel. Sums of flags are slow."""
+    """True for pixels whose flag is set in any image and channel.
+
+    Flags are summed as floats, since sums of booleans are slow.
+    """
 
     def add(sums: Array, one: Array) -> Array:
         return sums + jnp.where(one, 1, 0).astype(sums.dtype)
@@ -286,10 +291,10 @@ def any_sample(
 
 
 def sum_over_images(add: Callable[[T, Any], T], none: T, images: Any) -> T:
-    """What `add` makes of all images, one after another along the first axis.
+    """Accumulate `add` over all images, which are the first axis.
 
-    In runs of a few, which compilers work out at once: sums are read and written once a
-    run, and rounding grows with the number of runs, not of images.
+    Images are added in runs of a few: sums are read and written once per run, and
+    rounding grows with the number of runs instead of the number of images.
 
     **Arguments:** `add`: from sums and an image to sums; `none`: sums over no image.
     """
@@ -308,9 +313,10 @@ def sum_over_images(add: Callable[[T, Any], T], none: T, images: Any) -> T:
 
 
 def _of_image(arrays: T, index: Array | int) -> T:
-    """`array[index]` of each: an index may not be negative.
+    """`array[index]` of each array, for an index ≥ 0.
 
-    Whether it is would be asked for every number read: up to a quarter of a map's time.
+    JAX would otherwise check the sign at every read, which costs up to a quarter of the
+    time of a map.
     """
     return jax.tree.map(
         lambda array: jax.lax.dynamic_index_in_dim(

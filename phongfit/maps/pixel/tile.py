@@ -1,6 +1,6 @@
-"""A tile: many pixels at once. A pure function, arrays in and arrays out.
+"""Fits of a tile of pixels as a pure function from arrays to arrays.
 
-It holds no state and knows no disk: a cluster can run it as it is.
+It has no state and does not access files, so that a cluster can run it unchanged.
 """
 
 import functools
@@ -24,12 +24,12 @@ T = TypeVar("T")
 
 
 def fit_tile(tile: Tile, outside: Outside, settings: MapSettings) -> PixelFit:
-    """Materials of all pixels of a tile, block by block: see [`fit_pixels`][].
+    """Fit the materials of a tile's pixels, block by block: see [`fit_pixels`][].
 
     **Arguments:**
 
     - `tile`: a multiple of [`BLOCK`][] pixels.
-    - `outside`, `settings`: the same for all tiles.
+    - `outside`, `settings`: equal for all tiles.
 
     **Returns:** a [`PixelFit`][] whose arrays have the pixels as their first axis.
     """
@@ -46,8 +46,7 @@ def in_two_passes(tile: Tile, fit: Callable[[Tile, Array], tuple[T, Array]]) -> 
     """Fit all blocks of a tile quickly, then thoroughly the pixels that need it.
 
     The pixels of a block run in lock step, so one hard pixel slows all of them. Pixels
-    that the first pass leaves unsettled are therefore gathered into blocks of their
-    own.
+    that the first pass leaves unsettled are therefore gathered into separate blocks.
 
     **Arguments:** `fit`: from a block, and whether to be thorough, to its result and
     the pixels that need a thorough fit.
@@ -55,7 +54,7 @@ def in_two_passes(tile: Tile, fit: Callable[[Tile, Array], tuple[T, Array]]) -> 
     **Returns:** the results, with the pixels as their first axis.
     """
     pixels = tile.normal.shape[0]
-    # Traced once, although its shapes are wanted first.
+    # Jitted, so that it is traced once for `eval_shape` and for the loop.
     fit_block = jax.jit(fit)
 
     def work(state: _Work) -> _Work:
@@ -111,7 +110,7 @@ class _Work(NamedTuple):
 
 @functools.lru_cache(maxsize=16)
 def compiled(settings: MapSettings, mesh: Mesh, fit: Callable[..., Any] = fit_tile):
-    """A program of `fit`, with pixels spread over a mesh's devices.
+    """Compiled `fit`, with pixels distributed over a mesh's devices.
 
     **Returns:** a function from tile and outside to [`PixelFit`][]`.arrays()`.
     """
