@@ -220,7 +220,7 @@ def find_circles(
     outermost: list[Placed] = []
     for placed in found:
         x, y, radius = placed.outline
-        # This also drops circles that cross a larger one, unlike outlines of spheres.
+        # Drop circles whose centre lies inside a larger one.
         if all(
             np.hypot(x - other.outline[0], y - other.outline[1]) > other.outline[2]
             for other in outermost

@@ -284,7 +284,10 @@ def save(
 
 
 def replaceable(options: Options) -> Callable[[str], bool]:
-    """A function of names in OUT: true for unfinished tiles, and older maps' files."""
+    """A function of names in OUT, true for those that may be replaced.
+
+    These are unfinished tiles and, with --overwrite, files of older maps.
+    """
 
     def may_replace(name: str) -> bool:
         return name == TILES or (options.overwrite and name in OURS)
