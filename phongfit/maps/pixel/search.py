@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from phongfit.maps.pixel.columns import Columns
 from phongfit.maps.pixel.exponent import (
@@ -91,31 +91,23 @@ def best_candidate(profile: Profile, box: Box) -> Float[Array, "groups pixels"]:
 
 
 class Descent(NamedTuple):
-    r"""End of a search.
+    """Result of a search for exponents.
 
-    - `t`: the best log f, with the next step added if that is short.
-    - `value`, `slope`: $\phi$ less a constant, and $\phi'$, at the best point tried.
-    - `curvature`: Gauss-Newton approximation of $\phi''$ there.
-    - `bend`: ratio of the measured curvature to that approximation.
-    - `ended`: whether the search has converged.
+    - `t`: log f of least value, or after one more short step from it.
+    - `bend`: curvature there relative to that of Gauss and Newton.
     """
 
     t: Array
-    value: Array
-    slope: Array
-    curvature: Array
     bend: Array
-    ended: Array
 
 
 class _Search(NamedTuple):
     r"""State of the search.
 
     - `t`: the next point to evaluate, `step` from the best so far.
-    - `best`, `value`, `slope`, `curvature`: the best point so far, with $\phi$,
-        $\phi'$ and the Gauss-Newton approximation of $\phi''$ there.
+    - `best`, `value`, `slope`: the best point so far, with $\phi$ and $\phi'$ there.
     - `left`, `right`: a bracket of the minimum.
-    - `bend`: ratio of the measured curvature to that approximation.
+    - `bend`: ratio of the measured curvature to its Gauss-Newton approximation.
     - `gain`: expected decrease of $\phi$ by the next step.
     - `done`: number of steps made.
     """
@@ -125,7 +117,6 @@ class _Search(NamedTuple):
     best: Array
     value: Array
     slope: Array
-    curvature: Array
     left: Array
     right: Array
     bend: Array
@@ -143,7 +134,7 @@ def refine_exponents(
     box: Box,
     steps: int,
     bend: Float[Array, "#groups #pixels"] | float = 1.0,
-    most: Int[Array, ""] | int = 0,
+    most: int = 0,
     variance: Callable[[Array], Array] | None = None,
 ) -> Descent:
     r"""Minimise $\phi$ over t between `low` and `high`.
@@ -171,7 +162,6 @@ def refine_exponents(
         secant = (at.slope - search.slope) / jnp.where(moved != 0, moved, 1)
         best = jnp.where(accept, search.t, search.best)
         slope = jnp.where(accept, at.slope, search.slope)
-        expected = jnp.where(accept, at.curvature, search.curvature)
         # The minimum lies before a point where φ rises or is above the best value.
         upward = jnp.where(accept, at.slope, moved)
         left = jnp.where(upward < 0, search.t, search.left)
@@ -196,7 +186,6 @@ def refine_exponents(
             best,
             value,
             slope,
-            expected,
             left,
             right,
             bend,
@@ -227,7 +216,6 @@ def refine_exponents(
         start,
         infinite,
         zero,
-        zero,
         -infinite,
         infinite,
         zero + bend,
@@ -237,7 +225,7 @@ def refine_exponents(
     last = jax.lax.while_loop(lambda s: jnp.any(unfinished(s)), go_on, first)
     # The last step was not evaluated. A short one is safe: it is near the minimum.
     t = jnp.where(jnp.abs(last.step) < 0.1, last.t, last.best)
-    return Descent(t, last.value, last.slope, last.curvature, last.bend, ended(last))
+    return Descent(t, last.bend)
 
 
 def _cubic(slope: Array, beyond: Array, rise: Array, step: Array) -> Array:
