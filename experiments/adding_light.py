@@ -62,8 +62,8 @@ def light(scene: pf.Scene, material: pf.Material) -> np.ndarray:
     return np.asarray(pf.render(scene, material, film=UNCLAMPED), float)
 
 
-def too_bright(size: int, intensity: float, background: float = 0.0) -> pf.Scene:
-    """The ball under one white lamp."""
+def under_white_lamp(size: int, intensity: float, background: float = 0.0) -> pf.Scene:
+    """The ball under one white lamp of any intensity."""
     lamp = pf.DirectionalLight((-0.6, 0.6, 1.0), intensity)
     return ball(size, [lamp], background)
 
@@ -78,7 +78,7 @@ def measure(size: int) -> Result:
     clipped, hue = [], []
     matte = dataclasses.replace(ORANGE, specular=GREY.emission)
     for intensity in INTENSITIES:
-        scene = too_bright(size, intensity)
+        scene = under_white_lamp(size, intensity)
         clipped.append(np.mean(light(scene, ORANGE)[seen] >= 1))
         spot = np.clip(light(scene, matte).max(axis=(0, 1)), 0, 1)
         hue.append(360 * colorsys.rgb_to_hsv(*spot)[0])
@@ -104,7 +104,7 @@ def draw(size: int) -> Figure:
     )
     style.picture_grid(
         middle,
-        [[light(too_bright(size, one, 1.0), ORANGE) for one in INTENSITIES]],
+        [[light(under_white_lamp(size, one, 1.0), ORANGE) for one in INTENSITIES]],
         columns=[f"$I_s$ = {one:g}" for one in INTENSITIES],
         rows=["one lamp"],
     )
@@ -113,7 +113,7 @@ def draw(size: int) -> Figure:
         bottom.subplots(1, 2, sharey=True), INTENSITIES[1:3], strict=True
     ):
         # The row through the highlight's centre.
-        image = light(too_bright(size, intensity), ORANGE)
+        image = light(under_white_lamp(size, intensity), ORANGE)
         row = image[int(np.argmax(image.max(axis=(1, 2))))]
         for name, colour, line, values in zip(
             ("red", "green", "blue"),

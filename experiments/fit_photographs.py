@@ -104,8 +104,9 @@ def main(
     """How well does one material explain real photographs of a real object?
 
     Fits one material to the 1st, 3rd, 5th, … photograph of a folder and predicts the
-    2nd, 4th, 6th, …; prints the parameters with errors, and RMSE / mean of the
-    prediction for each channel; draws photograph, prediction and difference.
+    2nd, 4th, 6th, …; prints the parameters with errors, and for each channel the
+    root mean square error of the prediction over the mean of the photographs; draws
+    photograph, prediction and difference.
 
     Args:
         folder: DiLiGenT's layout, or that of data_synth.

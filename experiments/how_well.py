@@ -161,7 +161,7 @@ def highlight_light(scene: pf.Scene) -> float:
 
 
 def sweeps(small: bool) -> list[Sweep]:
-    """All sweeps."""
+    """Sweeps of noise, number of lamps, resolution, clipping and window of light."""
     if small:
         return [
             noises([0.01, 0.03]),

@@ -230,10 +230,10 @@ def draw(data: Photographed, shown: dict[str, np.ndarray]) -> Figure:
     ):
         axes.imshow(np.clip(images[lowest], 0, 1))
         axes.set_axis_off()
-        of = "" if name == "photograph" else f", {_mean(images, data):.1f} dB"
-        axes.set_title(f"{name}{of}")
+        suffix = "" if name == "photograph" else f", {_mean(images, data):.1f} dB"
+        axes.set_title(f"{name}{suffix}")
     figure.suptitle(
-        f"{data.name}: the lowest of the lamps that were left out; dB: mean of all"
+        f"{data.name}: the lowest left-out lamp; dB: mean of all left-out photographs"
     )
     return figure
 

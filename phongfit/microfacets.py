@@ -154,8 +154,9 @@ class Ward(AbstractSpecular):
 
     @checked
     def __init__(self, alpha: Any = None):
-        r"""**Arguments:** `alpha`: root mean square slope of the surface, in (0, 1], of
-        the whole scene. By default each material's exponent determines it.
+        r"""**Arguments:** `alpha`: roughness, the root mean square slope of a surface,
+        in (0, 1]; one value for all materials. By default it follows from each
+        material's exponent.
 
         **Raises:** `ValueError` that names the argument.
         """

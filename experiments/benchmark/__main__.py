@@ -167,7 +167,7 @@ def map_details(found: list[map_peers.Row]) -> str:
 def normal_details(found: list[normal_peers.Row]) -> str:
     """Table of the methods that fit normals, as Markdown."""
     lines = [
-        "| normals and materials per pixel | pixels | processor, a pixel | off by |",
+        "| normals and materials per pixel | pixels | CPU time per pixel | error |",
         "|---|--:|--:|--:|",
     ]
     lines += [
@@ -180,10 +180,13 @@ def normal_details(found: list[normal_peers.Row]) -> str:
 
 def texture_details(found: list[textures.Row]) -> str:
     """Table of the methods that fit texels, as Markdown."""
-    lines = ["| texels of a mesh | processor | steps | off by |", "|---|--:|--:|--:|"]
+    lines = [
+        "| texels of a mesh | CPU time | steps | error of the texels |",
+        "|---|--:|--:|--:|",
+    ]
     lines += [
         f"| {row.name} | {row.seconds:.1f} s | {row.steps} "
-        f"| {row.error:.4f}{'' if row.arrived else ' (not there yet)'} |"
+        f"| {row.error:.4f}{'' if row.arrived else ' (not converged)'} |"
         for row in found
     ]
     if len(found) == 1:
@@ -267,22 +270,22 @@ def main(
         # In a file a row of a table stays one line.
         console.print(Markdown(text) if console.is_terminal else text, soft_wrap=True)
 
-    share = 40 if quick else 1
+    divisor = 40 if quick else 1
     found = single.rows(resolution, runs, console)
     show(details(found))
-    # The map's own programs are tuned to run at full size.
-    mapped = map_peers.rows(16_000 // share, scipy=200 // share)
+    # Maps have a fixed cost, so only a run at full size is a result.
+    mapped = map_peers.rows(16_000 // divisor, scipy=200 // divisor)
     show("\n" + map_details(mapped))
-    shaped = normal_peers.rows(16_000 // share)
+    shaped = normal_peers.rows(16_000 // divisor)
     show("\n" + normal_details(shaped))
     painted = textures.rows(most=20 if quick else textures.MOST)
     show("\n" + texture_details(painted))
     rendered = costs.render_costs(costs.SIZES[: 2 if quick else None])
     sizes = (10_000, 100_000, 1_000_000, 4_000_000)
-    pixels = maps.scaling(tuple(n // share for n in sizes[: 2 if quick else None]))
+    pixels = maps.scaling(tuple(n // divisor for n in sizes[: 2 if quick else None]))
     grown = costs.growth((32, 64) if quick else (64, 128, 256, 512))
     started = costs.cold()
-    memory = maps.peak_memory(4_000_000 // share)
+    memory = maps.peak_memory(4_000_000 // divisor)
     compiled = costs.first_and_warm()
     twelve = compiling.apart(12, "exposure", 128)["empty"]["first"]
     ratios = [
@@ -334,7 +337,7 @@ def main(
     show("\n" + table(ratios))
     console.print(
         f"\na map: {memory['peak_gigabytes']:.2f} GB at most for "
-        f"{4_000_000 // share:,} pixels × 24 lights\n"
+        f"{4_000_000 // divisor:,} pixels × 24 lights\n"
         f"a first fit, with compiling: {compiled['first']:.1f} s"
         f"\n{machine()}",
         soft_wrap=True,

@@ -394,7 +394,7 @@ class PinholeCamera(AbstractCamera):
         return jnp.stack([(x - self.cx - self.skew * down) / self.fx, down])
 
     def pixel_of(self, place: Place) -> Place:
-        """The inverse of `place_of`: (x, y) in pixels from the top left corner."""
+        """Pixel (x, y), from the top left corner, of a place in the image plane."""
         x, y = place
         return jnp.stack([self.fx * x + self.skew * y + self.cx, self.fy * y + self.cy])
 

@@ -232,7 +232,7 @@ def _hits(gbuffer: GBuffer) -> tuple[Array, Array]:
 
 
 def _both_sides(front: LightingPoints) -> LightingPoints:
-    """The points seen from the front, then the same points seen from behind."""
+    """The points, then the same points with reversed normals."""
     back = LightingPoints(
         front.position,
         -front.normal,

@@ -163,7 +163,7 @@ def with_model(terms: T, model: AbstractSpecular | None) -> T:
 
 
 def _size(used: np.ndarray) -> int:
-    """Number of points rounded up to a power of 2, since each size is compiled."""
+    """Number of points rounded up to a power of 2 ≥ 64, since each size is compiled."""
     return 2 ** int(max(len(used) - 1, 63)).bit_length()
 
 

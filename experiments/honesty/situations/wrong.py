@@ -80,7 +80,8 @@ def apart(specular: pf.AbstractSpecular | None = None) -> Subject:
 
 
 def turned(degrees: float) -> tuple[float, float, float]:
-    """The lamp's direction, turned about the viewer's axis."""
+    """The lamp's direction, moved by this arc on its circle about the viewer's axis."""
+    # On a smaller circle an arc takes a larger angle.
     angle = np.deg2rad(degrees) / np.sin(np.arccos(LAMP[2] / np.linalg.norm(LAMP)))
     x, y, z = LAMP
     cos, sin = float(np.cos(angle)), float(np.sin(angle))
