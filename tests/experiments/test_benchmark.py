@@ -196,7 +196,7 @@ def test_texels_without_a_peer(monkeypatch):
     peer = textures.Row("Adam", "adam", 30 * ours.seconds, 9, 0.1, False)
     (ratio,) = texture_ratios([ours, peer])
     assert ratio.key == "adam_over_texture" and ratio.value == pytest.approx(30)
-    assert "not there yet" in texture_details([ours, peer])
+    assert "not converged" in texture_details([ours, peer])
 
 
 @pytest.fixture(scope="module")
