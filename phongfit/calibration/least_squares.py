@@ -111,8 +111,8 @@ def robust_scale(residual: Float[np.ndarray, " m"]) -> float:
 
 
 def tukey_weight(
-    residual: Float[np.ndarray, " m"], sigma: float
-) -> Float[np.ndarray, " m"]:
+    residual: Float[np.ndarray, "*m"], sigma: float
+) -> Float[np.ndarray, "*m"]:
     """Weights of Tukey's biweight, for residuals with standard deviation `sigma`."""
     return np.clip(1 - (residual / (TUKEY * sigma)) ** 2, 0, None) ** 2
 

@@ -199,8 +199,9 @@ def _fill(content: _Content, data: bytes) -> None:
 
 def _indices(content: _Content) -> tuple[np.ndarray, np.ndarray]:
     """Rows of corners and of faces, after a check of all indices."""
-    corners = np.asarray(content.corners).reshape(-1, 3)
-    faces = np.asarray(content.faces).reshape(-1, 4)
+    # NumPy makes C's long long of them, a type apart from int64.
+    corners = np.frombuffer(content.corners, np.int64).reshape(-1, 3)
+    faces = np.frombuffer(content.faces, np.int64).reshape(-1, 4)
     columns = (content.places, 3), (content.uv, 2), (content.normals, 3)
     for index, (numbers, width) in zip(corners.T, columns, strict=True):
         count = len(numbers) // width
