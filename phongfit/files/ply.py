@@ -170,8 +170,7 @@ class _Body:
 
     def _take(self, type: str, count: float = 1) -> np.ndarray:
         """The next numbers of a type."""
-        # As a float: a count may be an integer of 8 bits, whose product would wrap.
-        size = float(count) * self._size(type)
+        size = count * self._size(type)
         self._check(size)
         start, self._at = self._at, self._at + int(size)
         if isinstance(self._data, np.ndarray):
@@ -183,7 +182,8 @@ class _Body:
         return [
             self._take(
                 one.type,
-                1 if one.length_type is None else self._take(one.length_type)[0],
+                # A Python number: products of NumPy's 8-bit counts would wrap.
+                1 if one.length_type is None else self._take(one.length_type)[0].item(),
             )
             for one in properties
         ]
