@@ -97,7 +97,7 @@ def make_dataset(
 def deal(
     scene: Scene, lights: tuple[AbstractLight, ...], images: int | None
 ) -> tuple[Scene, ...]:
-    """A copy of `scene` for each image; the lights are dealt out to them in turn.
+    """A copy of `scene` for each image, and every n-th light in each of n images.
 
     **Raises:** `ValueError` if an image would have none.
     """

@@ -286,7 +286,7 @@ def save(
 def replaceable(options: Options) -> Callable[[str], bool]:
     """A function of names in OUT, true for those that may be replaced.
 
-    These are unfinished tiles and, with --overwrite, files of older maps.
+    Unfinished tiles may be replaced and, with --overwrite, files of older maps.
     """
 
     def may_replace(name: str) -> bool:

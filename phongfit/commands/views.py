@@ -7,6 +7,7 @@ from typing import NamedTuple
 from phongfit.files.cameras import load_cameras
 from phongfit.files.captures import encoding_of
 from phongfit.files.images import read_film, read_head
+from phongfit.files.inputs import listed
 from phongfit.files.photographs import images_in, relative_exposures
 from phongfit.files.schema import ImageRecord
 from phongfit.files.transforms import image_of
@@ -112,5 +113,4 @@ def _photograph(folder: Path, name: str) -> str | None:
 
 
 def _few(names: Sequence[str]) -> str:
-    rest = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
-    return ", ".join(names[:LISTED]) + rest
+    return listed(names, LISTED, "more")

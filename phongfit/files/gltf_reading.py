@@ -42,9 +42,10 @@ from phongfit.files.gltf_records import (
     at,
     unused,
 )
-from phongfit.files.inputs import inside, naming, read_bytes
+from phongfit.files.inputs import inside, listed, naming, read_bytes
 from phongfit.files.records import validated
 from phongfit.files.strict_json import parse_json
+from phongfit.geometry.normals import triangle_normals
 
 READ = (
     *("KHR_materials_", "KHR_texture_", "EXT_texture_"),
@@ -52,10 +53,6 @@ READ = (
 )
 """Prefixes of extensions that a file may require: they are read, or change only colours
 and are listed as not used."""
-
-LISTED = 20
-"""Maximum number of unused parts that a note names; others are counted."""
-
 
 VISIT = 1000
 """Bytes that a primitive counts for, whatever it holds."""
@@ -97,8 +94,7 @@ def read_gltf(
     reader = _Reader(file, path.parent, binary)
     parts = list(reader.parts())
     if lost := [*reader.unused, *dict.fromkeys(unused(file))]:
-        more = f" and {len(lost) - LISTED} others" if lost[LISTED:] else ""
-        note(f"not used: {', '.join(lost[:LISTED])}{more}")
+        note(f"not used: {listed(lost)}")
     return parts, reader.shades
 
 
@@ -204,7 +200,7 @@ class _Reader:
         return GltfPart(
             place[corners],
             np.arange(len(corners)).reshape(-1, 3),
-            np.repeat(_face_normals(place[faces]), 3, axis=0),
+            np.repeat(triangle_normals(place[faces]), 3, axis=0),
             primitive.material,
             None if uv is None else uv[corners],
             {name: rows[corners] for name, rows in colours.items()},
@@ -379,14 +375,6 @@ class _Reader:
 
 _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
-
-
-def _face_normals(corners: Float[np.ndarray, "faces 3 3"]) -> np.ndarray:
-    """Unit normals of triangles; 0 where they have no area."""
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normals = np.cross(first, second)
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return normals / np.where(length > 0, length, 1)
 
 
 def _transform(node: Node) -> np.ndarray:

@@ -95,6 +95,17 @@ def read_image(
     profile mixes channels, so that the others are wrong: [`read_photograph`][] has a
     mask of such pixels.
     """
+    return read_opaque(path, encoding, white=white, max_pixels=max_pixels).image
+
+
+def read_opaque(
+    path: str | os.PathLike[str],
+    encoding: Encoding,
+    *,
+    white: int | None = None,
+    max_pixels: int | None = None,
+) -> "Light":
+    """Read like [`read_image`][], which describes arguments, errors and warnings."""
     light = read_light(path, encoding, white=white, max_pixels=max_pixels, opaque=True)
     lost = np.count_nonzero(~light.usable)
     if lost:
@@ -102,9 +113,9 @@ def read_image(
             "saturated",
             f"{path}: {lost} pixels are saturated, which changes all channels when its "
             "colours become those of sRGB",
-            stacklevel=2,
+            stacklevel=3,
         )
-    return light.image
+    return light
 
 
 class Light(NamedTuple):

@@ -6,7 +6,7 @@ import hashlib
 import io
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import numpy as np
@@ -16,6 +16,9 @@ from phongfit.files.budget import afford
 
 Note = Callable[[str], None]
 """Function that receives a sentence on an unused part of a file."""
+
+LISTED = 20
+"""Maximum number of unused parts that a warning names; others are counted."""
 
 _checksums: contextvars.ContextVar[dict[Path, str] | None]
 _checksums = contextvars.ContextVar("checksums", default=None)
@@ -225,6 +228,12 @@ def reason(error: Exception) -> str:
     # Remove memory addresses, which differ in each run.
     text = re.sub(r" ?<[^<>]* at 0x[0-9a-f]+>", "", str(error))
     return shortened(" ".join(text.split())) or type(error).__name__
+
+
+def listed(names: Sequence[str], most: int = LISTED, rest: str = "others") -> str:
+    """Up to `most` names in one line, and the number of the remaining ones."""
+    more = f" and {len(names) - most} {rest}" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
 
 
 def shortened(text: str) -> str:

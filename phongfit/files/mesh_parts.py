@@ -73,14 +73,21 @@ def linear_colours(
     return {"diffuse": light, "ambient": light}
 
 
+def with_colours(part: MeshPart, colours: dict[str, np.ndarray]) -> MeshPart:
+    """A part whose reflectances are the colours of its vertices, if there are any."""
+    return part._replace(shaded=white(), colours=colours) if colours else part
+
+
 def with_face_colours(part: MeshPart, colours: dict[str, np.ndarray]) -> MeshPart:
     """A part with a colour for each triangle, whose corners become vertices."""
+    if not colours:
+        return part
+    colours = {name: np.repeat(rows, 3, axis=0) for name, rows in colours.items()}
     corners = part.faces.ravel()
-    return part._replace(
+    return with_colours(part, colours)._replace(
         vertices=part.vertices[corners],
         faces=np.arange(len(corners)).reshape(-1, 3),
         normals=None if part.normals is None else part.normals[corners],
-        colours={name: np.repeat(rows, 3, axis=0) for name, rows in colours.items()},
         groups=np.zeros(len(corners), int),
     )
 

@@ -17,6 +17,7 @@ from phongfit.edge import checked
 from phongfit.files.inputs import (
     beside,
     joined_lines,
+    listed,
     naming,
     read_bytes,
     uncommented,
@@ -33,8 +34,6 @@ MOST = 10_000
 MOST_BYTES = 2**24
 FEW = 5
 """Maximum number of warnings of one kind."""
-LISTED = 20
-"""Maximum number of keys that a warning names."""
 
 COLOURS = {"Ka": "ambient", "Kd": "diffuse", "Ks": "specular", "Ke": "emission"}
 USUAL = {"d": "1", "Tr": "0", "Tf": "1"}
@@ -185,8 +184,7 @@ def parse_mtl(path: Path) -> Library:
     textures = [k for k in textures if k.material not in packed or not _is_packed(k)]
     notes = list(doubtful.values())
     if unused:
-        more = f" and {len(unused) - LISTED} others" if len(unused) > LISTED else ""
-        notes.append(f"not used: {', '.join(list(unused.values())[:LISTED])}{more}")
+        notes.append(f"not used: {listed([*unused.values()])}")
     return Library(found, textures, notes)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from phongfit.files.budget import afford
 from phongfit.files.inputs import (
+    LISTED,
     Note,
     beside,
     joined_lines,
@@ -28,7 +29,7 @@ from phongfit.files.mesh_parts import (
     uv_from_below,
     white,
 )
-from phongfit.files.mtl import FEW, LISTED, MOST
+from phongfit.files.mtl import FEW, MOST
 from phongfit.files.mtl_textures import Shaded, read_textured
 from phongfit.files.polygons import triangulate
 

@@ -19,7 +19,7 @@ from phongfit.files.mesh_parts import (
     MeshPart,
     linear_colours,
     uv_from_below,
-    white,
+    with_colours,
     with_face_colours,
 )
 from phongfit.files.mtl_textures import Shaded
@@ -71,15 +71,12 @@ def read_off(path: Path, note: Note) -> list[MeshPart]:
     start = 3 + 3 * with_normals
     if coloured:
         colours = linear_colours(_to_one(rows[:, start : start + 3]), note)
-        return [part._replace(shaded=white(), colours=colours) if colours else part]
+        return [with_colours(part, colours)]
     if not np.isfinite(own).any():
         return [part]
     # Faces without a colour are white.
     shares = np.nan_to_num(_to_one(own), nan=1.0)[cut.polygon]
-    colours = linear_colours(shares, note)
-    if not colours:
-        return [part]
-    return [with_face_colours(part._replace(shaded=white()), colours)]
+    return [with_face_colours(part, linear_colours(shares, note))]
 
 
 def _vertices(lines: Lines, count: int, least: int) -> np.ndarray:

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 
 from phongfit.files.coded import Coded
 from phongfit.files.images import SUFFIXES, Head, read_film, read_head, read_light
+from phongfit.files.inputs import listed
 from phongfit.files.metadata import Exposure
 from phongfit.rendering.film import Encoding, Film, as_encoding
 
@@ -301,12 +302,11 @@ def relative_exposures(
     if differing:
         shown = [
             f"{name} {exposure.only(differing)}"
-            for name, exposure in zip(names[:LISTED], exposures, strict=False)
+            for name, exposure in zip(names, exposures, strict=True)
         ]
-        rest = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
         notes.append(
-            f"{', '.join(shown)}{rest}: brought to common light, to some 5 %, as "
-            "cameras state rounded numbers"
+            f"{listed(shown, LISTED, 'more')}: brought to common light, to some 5 %, "
+            "as cameras state rounded numbers"
         )
     elif all(exposure.time is None for exposure in exposures) and len(names) > 1:
         notes.append(

@@ -14,13 +14,14 @@ import numpy as np
 
 from phongfit.files.budget import afford
 from phongfit.files.images import read_texels
-from phongfit.files.inputs import Note, beside, naming, read_bytes
+from phongfit.files.inputs import Note, beside, listed, naming, read_bytes
 from phongfit.files.mesh_parts import (
     UNNAMED,
     MeshPart,
     linear_colours,
     uv_from_below,
     white,
+    with_colours,
     with_face_colours,
 )
 from phongfit.files.mtl_textures import Shaded
@@ -47,9 +48,6 @@ UV = ("texture_u", "texture_v"), ("u", "v"), ("s", "t")
 PLACE, NORMAL, COLOUR = ("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue")
 CORNERS = "vertex_indices", "vertex_index"
 CORNER_UV = "texcoord"
-
-LISTED = 20
-"""Maximum number of properties that a warning names."""
 
 
 class _Property(NamedTuple):
@@ -293,8 +291,7 @@ def _note_unused(tables: dict[str, _Table], note: Note) -> None:
         if name not in known.get(element, ())
     ]
     if unused:
-        more = f" and {len(unused) - LISTED} others" if len(unused) > LISTED else ""
-        note(f"not used: {', '.join(unused[:LISTED])}{more}")
+        note(f"not used: {listed(unused)}")
 
 
 def _picture(path: Path, head: str, has_uv: bool, note: Note) -> Textures | None:
@@ -328,13 +325,9 @@ def _coloured(
     if any(name in vertex for name in COLOUR):
         if any(name in face for name in COLOUR):
             note("its faces' colours are not used: its vertices have colours")
-        colours = _colours(vertex, note)
-        return part._replace(shaded=white(), colours=colours) if colours else part
-    colours = _colours(face, note)
-    if not colours:
-        return part
-    colours = {name: rows[cut.polygon] for name, rows in colours.items()}
-    return with_face_colours(part._replace(shaded=white()), colours)
+        return with_colours(part, _colours(vertex, note))
+    of_polygons = _colours(face, note).items()
+    return with_face_colours(part, {k: rows[cut.polygon] for k, rows in of_polygons})
 
 
 def _colours(table: _Table, note: Note) -> dict[str, np.ndarray]:

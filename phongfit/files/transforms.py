@@ -16,7 +16,7 @@ from phongfit.codes import warn
 from phongfit.files.budget import afford
 from phongfit.files.colmap import CAMERA
 from phongfit.files.images import SUFFIXES, read_head
-from phongfit.files.inputs import inside, naming, read_text
+from phongfit.files.inputs import inside, listed, naming, read_text
 from phongfit.files.records import Many, validated
 from phongfit.files.strict_json import parse_json, shorten
 from phongfit.geometry.cameras import PinholeCamera
@@ -104,8 +104,7 @@ def load_transforms(path: Path) -> dict[str, PinholeCamera]:
 
 
 def _warn(path: Path, unused: list[str]) -> None:
-    more = f" and {len(unused) - FEW} more" if len(unused) > FEW else ""
-    named = ", ".join(shorten(key) for key in unused[:FEW]) + more
+    named = listed([shorten(key) for key in unused], FEW, "more")
     remedy = "Check that none of these changes what a camera sees"
     warn("part-unused", f"{path}: not used: {named}", remedy, stacklevel=4)
 

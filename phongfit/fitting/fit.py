@@ -243,8 +243,8 @@ def _fit_once(
 
     if rounds:
         restored = restored_now()
-    # Refine `uncertain` arrays and correct for JPEG in turn, since errors of lamps look
-    # like noise, on which the JPEG correction depends.
+    # Alternate: errors of `uncertain` lamps raise the noise level, and the JPEG
+    # correction depends on that level.
     for _ in range(TURNS if rounds else 1):
         if nuisance is None:
             break

@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Bool, Float
 
-from phongfit.files.images import read_film, read_image, read_mask
+from phongfit.files.images import read_mask, read_opaque
 from phongfit.files.inputs import naming
 from phongfit.files.meshes import load_mesh
 from phongfit.geometry.meshes import Mesh
@@ -68,8 +68,8 @@ def read_photograph(
     """
 
     def read(path: Path) -> tuple[np.ndarray, bool]:
-        image = read_image(path, encoding, max_pixels=MAX_PIXELS)
-        return image, read_film(path, encoding).clamp
+        light = read_opaque(path, encoding, max_pixels=MAX_PIXELS)
+        return light.image, light.clamped
 
     image, clamps = _read(name, content, read)
     return *shrunk(image), clamps

@@ -66,7 +66,7 @@ def situations() -> list[Situation]:
 
 
 def predicted(subject: Subject, noise: float) -> Callable[[Draws], Answers]:
-    """Answers of fits, with predicted errors in place of their own."""
+    """Answers that pair the estimates of fits with predicted errors."""
 
     def ask(draws: Draws) -> Answers:
         (scene,) = subject.scenes

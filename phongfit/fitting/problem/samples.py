@@ -76,7 +76,7 @@ class Channels(eqx.Module):
         )
 
     def shaped_by(self, model: AbstractSpecular) -> "Channels":
-        """The same samples with another specular model of the same kind."""
+        """These channels with another specular model of the same kind."""
         return Channels(with_model(self.pixels, model))
 
     @property
@@ -185,7 +185,7 @@ class Source:
 
 
 def stacked_lit(views: View, scenes: Scene) -> Channels:
-    """Geometry and light of stacked views, with stacked scenes in place of theirs."""
+    """Geometry and light of stacked views in stacked scenes."""
     return by_channel(end_to_end(eqx.filter_vmap(View.lit)(views, scenes)))
 
 

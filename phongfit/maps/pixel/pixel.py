@@ -382,7 +382,6 @@ def _search(job: _Job, columns: Columns, t: Array) -> tuple[Array, Profile | Non
     known exponent if `settings.scanned` is false.
     """
     box, lobes, angles = job.box, job.settings.lobes, job.basis.angles
-    low, high = (jnp.full_like(t, edge) for edge in (box.lowest, box.highest))
     profile = None
     if job.settings.scanned:
         profile = survey(columns, lobes, angles, box, job.groups)
@@ -391,9 +390,9 @@ def _search(job: _Job, columns: Columns, t: Array) -> tuple[Array, Profile | Non
     def variance(value: Array) -> Array:
         return _variance(job, columns, value)
 
-    start = jnp.clip(t, low, high)
+    start = jnp.clip(t, box.lowest, box.highest)
     end = refine_exponents(
-        columns, lobes, angles, start, low, high, box, STEPS, 1.0, MOST_STEPS, variance
+        columns, lobes, angles, start, box, STEPS, 1.0, MOST_STEPS, variance
     )
     return end.t, profile
 
@@ -426,7 +425,6 @@ def _reweighted(job: _Job, at: At, t: Array) -> _SearchResult:
     """
     settings, box, noise = job.settings, job.box, job.noise
     lobes, angles, loss = settings.lobes, job.basis.angles, settings.loss
-    low, high = (jnp.full_like(t, edge) for edge in (box.lowest, box.highest))
     whole = job.share**2
 
     def relative(at: At, t: Array) -> tuple[Array, Array]:
@@ -445,7 +443,7 @@ def _reweighted(job: _Job, at: At, t: Array) -> _SearchResult:
         t, bend = state.t, state.bend
         if settings.searched:
             found = refine_exponents(
-                columns, lobes, angles, t, low, high, box, REWEIGHTED_STEPS, bend
+                columns, lobes, angles, t, box, REWEIGHTED_STEPS, bend
             )
             t, bend = found.t, found.bend
         ended = jnp.abs(t - state.t) <= SHORTEST

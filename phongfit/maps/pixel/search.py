@@ -129,15 +129,13 @@ def refine_exponents(
     lobes: AbstractLobes,
     angles: Angles,
     start: Float[Array, "groups pixels"],
-    low: Float[Array, "#groups #pixels"],
-    high: Float[Array, "#groups #pixels"],
     box: Box,
     steps: int,
     bend: Float[Array, "#groups #pixels"] | float = 1.0,
     most: int = 0,
     variance: Callable[[Array], Array] | None = None,
 ) -> Descent:
-    r"""Minimise $\phi$ over t between `low` and `high`.
+    r"""Minimise $\phi$ over t within its bounds.
 
     The steps are Newton's, with the exact slope. The curvature comes from the
     difference of two slopes; before there are two, it is the Gauss-Newton curvature,
@@ -178,7 +176,7 @@ def refine_exponents(
         t = best + jnp.clip(newton, -LONGEST, LONGEST)
         t = jnp.where(t <= left, (best + left) / 2, t)
         t = jnp.where(t >= right, (best + right) / 2, t)
-        t = jnp.clip(t, low, high)
+        t = jnp.clip(t, box.lowest, box.highest)
         value = jnp.where(accept, at.value, search.value)
         return _Search(
             t,

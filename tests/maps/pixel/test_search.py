@@ -47,9 +47,9 @@ def refined(start, bend):
     )
     one = jnp.ones_like(light)
     columns = make_columns((diffuse,), light, one, one[:, None])
-    box, edges = Box((0, 0), (1, 1), 0, 7), (floats([[0]]), floats([[7]]))
+    box = Box((0, 0), (1, 1), 0, 7)
     lobes, start = PowerLobes(BlinnPhong()), start[None, None]
-    return refine_exponents(columns, lobes, logarithm, start, *edges, box, 2, bend)
+    return refine_exponents(columns, lobes, logarithm, start, box, 2, bend)
 
 
 def test_a_step_too_short_to_see_leaves_the_curvature_as_it_was():
