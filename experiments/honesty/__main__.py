@@ -16,12 +16,12 @@ from rich.console import Console
 from rich.progress import track
 
 from experiments.honesty.campaign import (
-    Elsewhere,
+    OtherPrecision,
     Precision,
     Row,
-    examine,
     own_bits,
     pooled_faults,
+    run_situation,
 )
 from experiments.honesty.situations import all_situations
 from experiments.honesty.situations.base import Situation
@@ -64,20 +64,22 @@ def main(
     console = Console()
     if not console.is_terminal:
         console = Console(width=WIDTH)
-    here = own_bits()
+    own_precision = own_bits()
     wanted = (32, 64) if precision == "both" else (int(precision),)
     chosen = select(all_situations(), only)
     rows: list[Row] = []
     with contextlib.ExitStack() as stack:
         others = [
-            stack.enter_context(Elsewhere(bits, only, count, seed))
+            stack.enter_context(OtherPrecision(bits, only, count, seed))
             for bits in wanted
-            if bits != here
+            if bits != own_precision
         ]
-        if here in wanted:
+        if own_precision in wanted:
             quiet = not console.is_terminal
-            for one in track(chosen, "situations", console=console, disable=quiet):
-                rows.append(examine(one, count, seed))
+            for situation in track(
+                chosen, "situations", console=console, disable=quiet
+            ):
+                rows.append(run_situation(situation, count, seed))
         for other in others:
             rows += other.rows()
     for bits in wanted:
@@ -89,22 +91,22 @@ def main(
         json,
         {"draws": count, "seed": seed, "rows": list(map(dataclasses.asdict, rows))},
     )
-    return 0 if all(row.fine for row in rows) and not pooled_faults(rows) else 1
+    return 0 if all(row.passed for row in rows) and not pooled_faults(rows) else 1
 
 
 def select(situations: list[Situation], only: tuple[str, ...]) -> list[Situation]:
     """Situations with a name in `only`, or else those whose names contain one."""
     if not only:
         return situations
-    names = {one.name for one in situations}
+    names = {situation.name for situation in situations}
     for part in only:
         if not any(part in name for name in names):
             raise ValueError(f"only: no situation's name holds {part!r}")
     return [
-        one
-        for one in situations
+        situation
+        for situation in situations
         if any(
-            part == one.name or (part not in names and part in one.name)
+            part == situation.name or (part not in names and part in situation.name)
             for part in only
         )
     ]

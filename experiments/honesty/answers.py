@@ -19,12 +19,12 @@ class Answers:
     """Numbers of every draw and parameter, and the warnings of every draw.
 
     - `labels`: the parameters;
-    - `truth`, `estimate`, `error`: infinite errors for what was not identified;
-    - `low`, `high`: ends of the intervals that hold the truth with a chance of `LEVEL`;
+    - `truth`, `estimate`, `error`: the error is infinite if not identified;
+    - `low`, `high`: ends of the intervals with a confidence of `LEVEL`;
     - `at_bound`: whether an estimate lies on its bound;
-    - `box`: lower and upper bounds of the parameters;
-    - `warnings`: sentences. A draw that was refused says why, and has NaN and infinite
-        errors.
+    - `bounds`: lower and upper bounds of the parameters;
+    - `warnings`: sentences. A draw whose fit raised an error has its message here, NaN
+        for its estimates, and infinite errors.
     """
 
     labels: tuple[str, ...]
@@ -34,11 +34,11 @@ class Answers:
     low: Float[np.ndarray, "draws parameters"]
     high: Float[np.ndarray, "draws parameters"]
     at_bound: Bool[np.ndarray, "draws parameters"]
-    box: Float[np.ndarray, "parameters 2"]
+    bounds: Float[np.ndarray, "parameters 2"]
     warnings: tuple[tuple[str, ...], ...]
 
 
-class Shot(NamedTuple):
+class Trial(NamedTuple):
     """Arguments of one draw's fit, and the truth.
 
     - `scene`, `image`, `options`: of [`phongfit.fit`][];
@@ -54,7 +54,7 @@ class Shot(NamedTuple):
     others: Mapping[str, float]
 
 
-class Said(NamedTuple):
+class DrawAnswer(NamedTuple):
     """One draw's part of [`Answers`][]."""
 
     truth: np.ndarray
@@ -69,46 +69,48 @@ class Said(NamedTuple):
 REFUSED = "refused: "
 
 
-def fit_all(shots: Iterable[Shot]) -> Answers:
+def fit_trials(trials: Iterable[Trial]) -> Answers:
     """Fit many draws; a draw whose fit raises `ValueError` counts as refused."""
-    said: list[Said | str] = []
-    labels, box = (), np.zeros((0, 2))
-    for shot in shots:
+    draws: list[DrawAnswer | str] = []
+    labels, bounds = (), np.zeros((0, 2))
+    for trial in trials:
         try:
-            fit = pf.fit(shot.scene, shot.image, **shot.options)
+            fit = pf.fit(trial.scene, trial.image, **trial.options)
         except ValueError as error:
-            said.append(f"{REFUSED}{error}")
+            draws.append(f"{REFUSED}{error}")
             continue
-        labels, box = fit.labels, fit.bounds
-        said.append(of_fit(fit, shot))
-    return gather(labels, box, said)
+        labels, bounds = fit.labels, fit.bounds
+        draws.append(answer_of_fit(fit, trial))
+    return join_draws(labels, bounds, draws)
 
 
-def of_fit(fit: pf.Fit, shot: Shot) -> Said:
+def answer_of_fit(fit: pf.Fit, trial: Trial) -> DrawAnswer:
     """Estimates, errors and warnings of one fit."""
     low, high = fit.intervals(LEVEL).T
-    truth = true_values(fit, shot)
+    truth = true_values(fit, trial)
     parts = truth, fit.values, fit.errors, low, high, fit.at_bound
-    return Said(*parts, fit.warnings)
+    return DrawAnswer(*parts, fit.warnings)
 
 
-def true_values(fit: pf.Fit, shot: Shot) -> np.ndarray:
+def true_values(fit: pf.Fit, trial: Trial) -> np.ndarray:
     """The truth in the order of a fit's labels."""
     unknowns = fit.solution.problem.unknowns
-    values = first_values(unknowns.parameters, shot.scenes, shot.material)
-    known = {**dict(zip(unknowns.entry_labels, values, strict=True)), **shot.others}
-    return np.array([known[label] for label in fit.labels])
+    values = first_values(unknowns.parameters, trial.scenes, trial.material)
+    truths = {**dict(zip(unknowns.entry_labels, values, strict=True)), **trial.others}
+    return np.array([truths[label] for label in fit.labels])
 
 
-def gather(
+def join_draws(
     labels: tuple[str, ...],
-    box: Float[np.ndarray, "parameters 2"],
-    said: Sequence[Said | str],
+    bounds: Float[np.ndarray, "parameters 2"],
+    draws: Sequence[DrawAnswer | str],
 ) -> Answers:
-    """Join the draws; of a refused draw `said` has the message instead of numbers."""
+    """Join the answers of draws; a draw that was refused is a message."""
     empty = np.full(len(labels), np.nan)
     refused = empty, empty, empty + np.inf, empty, empty, np.zeros(len(labels), bool)
-    rows = [Said(*refused, (one,)) if isinstance(one, str) else one for one in said]
+    rows = [
+        DrawAnswer(*refused, (one,)) if isinstance(one, str) else one for one in draws
+    ]
     *numbers, warnings = zip(*rows, strict=True)
     columns: Any = [np.array(column).reshape(len(rows), -1) for column in numbers]
-    return Answers(labels, *columns, box=box, warnings=tuple(warnings))
+    return Answers(labels, *columns, bounds=bounds, warnings=tuple(warnings))

@@ -1,4 +1,4 @@
-"""Situation after situation, in one precision or in both at a time."""
+"""Runs of situations, in one precision or in both at a time."""
 
 import dataclasses
 import json
@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.honesty.chance import too_many
-from experiments.honesty.judge import ALARMS, RIGHT_KINDS, Verdict, judge
+from experiments.honesty.judge import MAX_FALSE_ALARMS, RIGHT_KINDS, Verdict, judge
 from experiments.honesty.situations.base import Situation
 
 Precision = Literal["32", "64", "both"]
@@ -35,7 +35,7 @@ class Row:
     verdict: Verdict
 
     @property
-    def fine(self) -> bool:
+    def passed(self) -> bool:
         """Whether the situation passes all checks."""
         return not self.verdict.faults
 
@@ -45,18 +45,18 @@ def own_bits() -> int:
     return 64 if jnp.result_type(float) == jnp.float64 else 32
 
 
-def examine(situation: Situation, draws: int, seed: int) -> Row:
+def run_situation(situation: Situation, draws: int, seed: int) -> Row:
     """Run one situation; each draw has its own generator, independent of the others."""
     began = time.perf_counter()
-    count = max(round(draws * situation.share), min(draws, LEAST))
+    count = max(round(draws * situation.draw_fraction), min(draws, LEAST))
     key = zlib.crc32(situation.name.encode())
     rngs = [np.random.default_rng((seed, key, draw)) for draw in range(count)]
     verdict = judge(
-        situation.ask(rngs),
+        situation.answer(rngs),
         situation.kind,
-        situation.free,
+        situation.unidentifiable,
         situation.wide,
-        situation.words,
+        situation.required_warning,
     )
     seconds = time.perf_counter() - began
     return Row(situation.name, situation.kind, own_bits(), seconds, verdict)
@@ -64,17 +64,17 @@ def examine(situation: Situation, draws: int, seed: int) -> Row:
 
 def pooled_faults(rows: Sequence[Row]) -> tuple[str, ...]:
     """A sentence for each precision with too many false alarms over all situations."""
-    found = []
+    sentences = []
     for bits in sorted({row.bits for row in rows}):
-        alarms, draws = alarms_of(rows, bits)
-        if draws and too_many(alarms, draws, ALARMS):
-            found.append(
+        alarms, draws = count_false_alarms(rows, bits)
+        if draws and too_many(alarms, draws, MAX_FALSE_ALARMS):
+            sentences.append(
                 f"float{bits}: {alarms} false alarms in {draws} draws of right models"
             )
-    return tuple(found)
+    return tuple(sentences)
 
 
-def alarms_of(rows: Iterable[Row], bits: int) -> tuple[int, int]:
+def count_false_alarms(rows: Iterable[Row], bits: int) -> tuple[int, int]:
     """False alarms, and draws of right models, in one precision.
 
     A map's pixels are not counted with the draws of fits, which they would outnumber.
@@ -86,10 +86,10 @@ def alarms_of(rows: Iterable[Row], bits: int) -> tuple[int, int]:
         and row.kind in RIGHT_KINDS
         and not row.name.startswith("maps")
     ]
-    return sum(round(v.doubted * v.draws) for v in right), sum(v.draws for v in right)
+    return sum(round(v.warned * v.draws) for v in right), sum(v.draws for v in right)
 
 
-class Elsewhere:
+class OtherPrecision:
     """The campaign in the other precision, in another process."""
 
     def __init__(self, bits: int, only: Sequence[str], draws: int, seed: int):
@@ -109,7 +109,7 @@ class Elsewhere:
             text=True,
         )
 
-    def __enter__(self) -> "Elsewhere":
+    def __enter__(self) -> "OtherPrecision":
         return self
 
     def __exit__(self, *what: object) -> None:
@@ -124,14 +124,14 @@ class Elsewhere:
 
         **Raises:** `RuntimeError` with the end of its error output, if it failed.
         """
-        _, complaint = self._process.communicate()
+        _, errors = self._process.communicate()
         if self._process.returncode not in (0, 1) or not self._path.exists():
-            raise RuntimeError(f"the other precision failed:\n{complaint[-2000:]}")
-        found = json.loads(self._path.read_text(encoding="utf-8"))
-        return [row_from(row) for row in found["rows"]]
+            raise RuntimeError(f"the other precision failed:\n{errors[-2000:]}")
+        numbers = json.loads(self._path.read_text(encoding="utf-8"))
+        return [row_from_json(row) for row in numbers["rows"]]
 
 
-def row_from(row: dict[str, Any]) -> Row:
+def row_from_json(row: dict[str, Any]) -> Row:
     """A row from JSON, which has no NaN and no tuples."""
     verdict = {name: _value(value) for name, value in row.pop("verdict").items()}
     return Row(**row, verdict=Verdict(**verdict))

@@ -1,9 +1,8 @@
 """Tests of fractions of few draws.
 
-A fraction fails if it is beyond its limit and if sampling error would explain this, for
-a fraction exactly at the limit, only once in `1 / CHANCE` judgements. A campaign makes
-some hundred of them for each precision, nearly a thousand in all, so that less than one
-campaign in a hundred fails by chance.
+A fraction fails if it is beyond its limit by more than sampling error explains: if the
+true fraction were exactly at the limit, one test in `1 / CHANCE` would fail. A campaign
+makes nearly a thousand tests, so less than one campaign in a hundred fails by chance.
 """
 
 import numpy as np
@@ -17,23 +16,25 @@ CHANCE = 1e-5
 Each = Bool[np.ndarray, "draws parameters"]
 
 
-def share(held: np.ndarray, counted: np.ndarray | bool = True) -> float:
+def fraction(holds: np.ndarray, counted: np.ndarray | bool = True) -> float:
     """Fraction of the counted entries that hold; NaN if none is counted."""
-    counted = np.broadcast_to(counted, held.shape)
-    return float((held & counted).sum() / counted.sum()) if counted.any() else np.nan
+    counted = np.broadcast_to(counted, holds.shape)
+    return float((holds & counted).sum() / counted.sum()) if counted.any() else np.nan
 
 
-def limits(
-    inside: Each, counted: Each, promised: tuple[float, float]
+def coverage_limits(
+    inside: Each, counted: Each, nominal: tuple[float, float]
 ) -> tuple[float, float]:
-    """Range of the fraction of intervals with the truth, in which there is no fault.
+    """Smallest and largest fraction of intervals with the truth that is no fault.
+
+    This is `nominal`, widened by the sampling error of the fraction.
 
     Parameters of one draw are correlated. The number of independent intervals is
     estimated from the scatter between draws.
 
     ??? cite "Source"
-        Kish, *Survey sampling*, 1965, on the design effect: the variance of a share
-        between clusters over a binomial one.
+        Kish, *Survey sampling*, 1965, on the design effect: the variance of a
+        fraction between clusters over a binomial one.
     """
     count = counted.sum()
     if count == 0:
@@ -41,13 +42,15 @@ def limits(
     missed, each = (counted & ~inside).sum(axis=1), counted.sum(axis=1)
     rate = missed.sum() / count
     expected = count * rate * (1 - rate)
-    together = np.sum((missed - rate * each) ** 2) / expected if expected > 0 else 1.0
-    alone = max(int(count / max(together, 1.0)), 1)
-    low = float(binom.ppf(CHANCE, alone, LEVEL)) / alone
-    high = float(binom.isf(CHANCE, alone, LEVEL)) / alone
-    return min(promised[0], low), max(promised[1], high)
+    overdispersion = (
+        np.sum((missed - rate * each) ** 2) / expected if expected > 0 else 1.0
+    )
+    n_independent = max(int(count / max(overdispersion, 1.0)), 1)
+    low = float(binom.ppf(CHANCE, n_independent, LEVEL)) / n_independent
+    high = float(binom.isf(CHANCE, n_independent, LEVEL)) / n_independent
+    return min(nominal[0], low), max(nominal[1], high)
 
 
-def too_many(found: int, draws: int, promised: float) -> bool:
-    """Whether so many draws are significantly more than the fraction `promised`."""
-    return bool(found > max(promised * draws, binom.isf(CHANCE, draws, promised)))
+def too_many(count: int, draws: int, nominal: float) -> bool:
+    """Whether `count` draws are significantly more than the fraction `nominal`."""
+    return bool(count > max(nominal * draws, binom.isf(CHANCE, draws, nominal)))

@@ -1,14 +1,15 @@
-"""From the answers of many draws to a verdict.
+"""Verdict on a situation, from the answers of its draws.
 
 - 95 % intervals must contain the truth in 92-98 % of the cases with a finite error and
   without a warning: over all parameters, and for each of them. In draws with an
   estimate at its bound, intervals of the other parameters must do so in 80 %.
-- An estimate that is far off must come with a warning: in 99 % of such draws.
-- With a right model, at most 1 % of the draws may have a warning of doubt.
+- Of the draws with an estimate that is far off, 99 % must have a warning.
+- With a right model, at most 1 % of the draws may have a warning about the fit.
 - A parameter that the data do not identify must not have a small error.
 - Where a situation names a warning, at most 1 % of the draws may lack it.
 
-See `experiments/honesty/chance.py` for what few draws allow.
+With few draws the limits are wider, by the sampling error of a fraction: see
+`experiments/honesty/chance.py`.
 """
 
 import dataclasses
@@ -17,153 +18,165 @@ from typing import Literal
 import numpy as np
 
 from experiments.honesty.answers import Answers
-from experiments.honesty.chance import Each, limits, share, too_many
-from experiments.honesty.marks import FAR, Marks, look
-from experiments.honesty.words import doubts, unknown_words
+from experiments.honesty.chance import Each, coverage_limits, fraction, too_many
+from experiments.honesty.marks import FAR, Marks, compare
+from experiments.honesty.words import count_doubts, unknown_warnings
 
 Kind = Literal["right", "open", "doubtful", "wrong"]
-"""`right`: the model is; `open`: it is, and the data cannot identify something;
-`doubtful`: an answer is to be right or to come with a warning; `wrong`: it is to come
-with one wherever it misleads."""
+"""What is expected of the fits of a situation.
+
+- `right`: the model is right, so answers are right and have no warning;
+- `open`: the model is right, and the data cannot identify some parameter;
+- `doubtful`: an answer is right or has a warning;
+- `wrong`: the model is wrong, and an answer that is far off has a warning."""
 
 RIGHT_KINDS = ("right", "open")
-PROMISED = (0.92, 0.98)
-BESIDE = (0.8, 1.0)
-ALARMS = 0.01
-MISLED = 0.01
-# An error is small if its interval takes less than this share of the box.
-SMALL = 0.25
-# A right model of which more is said not to be identifiable was not fitted at all.
-SILENT = 0.2
+# Range of the fraction of 95 % intervals that contain the truth: in general, and for
+# parameters beside another one that is on its bound.
+COVERAGE = (0.92, 0.98)
+COVERAGE_BESIDE_BOUND = (0.8, 1.0)
+# Largest fraction of the draws of a right model that may have a warning about the fit.
+MAX_FALSE_ALARMS = 0.01
+# Largest fraction of draws that may mislead, or lack a warning that is required.
+MAX_MISSING_WARNINGS = 0.01
+# An error is small if its interval takes less than this fraction of the bounds.
+SMALL_INTERVAL = 0.25
+# A right model with more infinite errors than this fraction was not fitted at all.
+MAX_INFINITE = 0.2
 
 
 @dataclasses.dataclass(frozen=True)
 class Verdict:
     """Summary of the draws of one situation; NaN where nothing could be judged.
 
-    - `coverage`: share of intervals that hold the truth; `at_bound` of what lies on a
-        bound alone, `beside` of the rest of such draws;
-    - `worst`, `worst_label`: that of the parameter with the least;
-    - `pulls`: root mean square of (estimate − truth) / error, inside the box;
-    - `doubted`: share of draws with a warning about the fit, or without an answer;
-    - `far`: share of draws with an estimate far off, see `FAR`;
-        `misled`: share of draws where it comes without a warning;
-    - `silent`: share of numbers with an infinite error;
-    - `faults`: what should hold and does not; `notes`: what else is to be seen;
-    - `words`: warnings about the fit, and how many draws had each.
+    - `coverage`: fraction of the intervals that contain the truth, of draws without a
+        warning about the fit: over all parameters; `at_bound` over those on a bound,
+        `beside_bound` over the other parameters of such draws;
+    - `worst`, `worst_label`: coverage and label of the parameter with the lowest one;
+    - `pulls`: root mean square of (estimate − truth) / error, away from the bounds;
+    - `warned`: fraction of draws with a warning about the fit, or without an answer;
+    - `far`: fraction of draws with an estimate far off, see `FAR`;
+        `misled`: fraction of draws with one and without a warning;
+    - `infinite`: fraction of the standard errors that are infinite;
+    - `faults`: criteria that are not met, as sentences; `notes`: remarks;
+    - `codes`: codes of warnings about the fit, and how many draws had each.
     """
 
     draws: int
     coverage: float
     at_bound: float
-    beside: float
+    beside_bound: float
     worst: float
     worst_label: str
     pulls: float
-    doubted: float
+    warned: float
     far: float
     misled: float
-    silent: float
+    infinite: float
     faults: tuple[str, ...]
     notes: tuple[str, ...]
-    words: dict[str, int]
+    codes: dict[str, int]
 
 
 def judge(
     answers: Answers,
     kind: Kind,
-    free: tuple[str, ...] = (),
+    unidentifiable: tuple[str, ...] = (),
     wide: bool = False,
-    words: str = "",
+    required_warning: str = "",
 ) -> Verdict:
     """The verdict on one situation.
 
     **Arguments:**
 
     - `kind`: whether the model is right, doubtful or wrong in this situation.
-    - `free`: parameters, or labels, that the data cannot identify.
+    - `unidentifiable`: parameters, or labels, that the data cannot identify.
     - `wide`: whether intervals may be too wide here.
-    - `words`: part of a warning, such as a code, that every draw must come with.
+    - `required_warning`: part of a warning, such as a code, that every draw must have.
     """
-    marks, labels = look(answers), answers.labels
+    marks, labels = compare(answers), answers.labels
     too_wide = kind != "wrong" and _too_wide(marks)
-    allowed = wide or bool(marks.bound.any())
-    worst, worst_label = _worst(labels, marks)
+    allowed = wide or bool(marks.on_bound.any())
+    worst, worst_label = _lowest_coverage(labels, marks)
     faults = [
-        *(_intervals(labels, marks) if kind != "wrong" else ()),
+        *(_short_intervals(labels, marks) if kind != "wrong" else ()),
         *(["intervals are too wide"] if too_wide and not allowed else ()),
-        *_misleading(marks, kind),
-        *(_alarms(marks, kind) if kind in RIGHT_KINDS else ()),
-        *_small_errors(answers, free, ~marks.doubted),
-        *_lacking(answers, words),
-        *(f"a warning of unknown kind: {x}" for x in unknown_words(answers.warnings)),
+        *_missing_warnings(marks, kind),
+        *(_false_alarms(marks, kind) if kind in RIGHT_KINDS else ()),
+        *_small_errors(answers, unidentifiable, ~marks.warned),
+        *_missing_required(answers, required_warning),
+        *(
+            f"a warning of unknown kind: {sentence}"
+            for sentence in unknown_warnings(answers.warnings)
+        ),
     ]
     notes = [
         *(["wide"] if too_wide and allowed else ()),
         *(["harmless"] if kind == "wrong" and not marks.far.any() else ()),
     ]
     return Verdict(
-        draws=len(marks.doubted),
-        coverage=share(marks.inside, marks.trusted),
-        at_bound=share(marks.inside, marks.bound),
-        beside=share(marks.inside, marks.beside),
+        draws=len(marks.warned),
+        coverage=fraction(marks.covered, marks.trusted),
+        at_bound=fraction(marks.covered, marks.on_bound),
+        beside_bound=fraction(marks.covered, marks.beside_bound),
         worst=worst,
         worst_label=worst_label,
-        pulls=_pulls(answers, marks.free),
-        doubted=share(marks.doubted),
-        far=share(marks.far),
-        misled=share(marks.misled),
-        silent=share(~marks.finite),
+        pulls=_pulls(answers, marks.interior),
+        warned=fraction(marks.warned),
+        far=fraction(marks.far),
+        misled=fraction(marks.misled),
+        infinite=fraction(~marks.finite),
         faults=tuple(faults),
         notes=tuple(notes),
-        words=doubts(answers.warnings),
+        codes=count_doubts(answers.warnings),
     )
 
 
 def _too_wide(marks: Marks) -> bool:
-    most = limits(marks.inside, marks.trusted, PROMISED)[1]
-    return share(marks.inside, marks.trusted) > most
+    """Whether intervals contain the truth more often than they should."""
+    _, upper = coverage_limits(marks.covered, marks.trusted, COVERAGE)
+    return fraction(marks.covered, marks.trusted) > upper
 
 
-def _alarms(marks: Marks, kind: Kind) -> list[str]:
+def _false_alarms(marks: Marks, kind: Kind) -> list[str]:
     """Faults of right models: false alarms, or mostly infinite errors."""
     faults = []
-    if too_many(marks.doubted.sum(), len(marks.doubted), ALARMS):
-        faults.append(f"{marks.doubted.mean():.1%} of the draws are false alarms")
-    if kind == "right" and share(~marks.finite) > SILENT:
-        faults.append("much is said not to be identifiable")
+    if too_many(marks.warned.sum(), len(marks.warned), MAX_FALSE_ALARMS):
+        faults.append(f"{marks.warned.mean():.1%} of the draws are false alarms")
+    if kind == "right" and fraction(~marks.finite) > MAX_INFINITE:
+        faults.append("too many parameters are said not to be identifiable")
     return faults
 
 
-def _intervals(labels: tuple[str, ...], marks: Marks) -> list[str]:
+def _short_intervals(labels: tuple[str, ...], marks: Marks) -> list[str]:
     """Faults of intervals that contain the truth too rarely."""
     faults = []
-    for where, counted, promised in (
-        ("", marks.trusted, PROMISED),
-        ("beside bounds ", marks.beside, BESIDE),
+    for where, counted, nominal in (
+        ("", marks.trusted, COVERAGE),
+        ("beside bounds ", marks.beside_bound, COVERAGE_BESIDE_BOUND),
     ):
-        held = share(marks.inside, counted)
-        if held < limits(marks.inside, counted, promised)[0]:
-            faults.append(f"{where}{held:.1%} of the intervals hold the truth")
+        coverage = fraction(marks.covered, counted)
+        if coverage < coverage_limits(marks.covered, counted, nominal)[0]:
+            faults.append(f"{where}{coverage:.1%} of the intervals hold the truth")
     low = [
-        f"{label} {share(inside, counted):.0%}"
-        for label, inside, counted in zip(
-            labels, marks.inside.T, marks.trusted.T, strict=True
+        f"{label} {fraction(covered, counted):.0%}"
+        for label, covered, counted in zip(
+            labels, marks.covered.T, marks.trusted.T, strict=True
         )
-        if share(inside, counted)
-        < limits(inside[:, None], counted[:, None], PROMISED)[0]
+        if fraction(covered, counted)
+        < coverage_limits(covered[:, None], counted[:, None], COVERAGE)[0]
     ]
     return faults + ([f"too short alone: {', '.join(low)}"] if low else [])
 
 
-def _misleading(marks: Marks, kind: Kind) -> list[str]:
+def _missing_warnings(marks: Marks, kind: Kind) -> list[str]:
     """Fault of too many draws that are far off and have no warning.
 
     The limit is a fraction of the draws that are far off for a wrong model, and of all
     draws for others.
     """
-    among = marks.far.sum() if kind == "wrong" else len(marks.far)
-    if marks.misled.sum() <= MISLED * among:
+    total = marks.far.sum() if kind == "wrong" else len(marks.far)
+    if marks.misled.sum() <= MAX_MISSING_WARNINGS * total:
         return []
     return [
         f"{marks.misled.sum()} of {marks.far.sum()} draws that are more than {FAR:g} σ "
@@ -172,47 +185,51 @@ def _misleading(marks: Marks, kind: Kind) -> list[str]:
 
 
 def _small_errors(
-    answers: Answers, free: tuple[str, ...], trusted: np.ndarray
+    answers: Answers, unidentifiable: tuple[str, ...], trusted: np.ndarray
 ) -> list[str]:
     """Faults of parameters with small errors that the data do not identify."""
-    width = answers.box[:, 1] - answers.box[:, 0]
-    small = np.isfinite(answers.error) & (answers.high - answers.low < SMALL * width)
+    widest = SMALL_INTERVAL * (answers.bounds[:, 1] - answers.bounds[:, 0])
+    small = np.isfinite(answers.error) & (answers.high - answers.low < widest)
     small &= trusted[:, None]
     faults = []
-    for name in free:
-        own = [name in (label, label.partition(".")[0]) for label in answers.labels]
-        count = small[:, own].any(axis=1).sum()
-        if too_many(count, len(small), ALARMS):
+    for name in unidentifiable:
+        columns = [name in (label, label.partition(".")[0]) for label in answers.labels]
+        count = small[:, columns].any(axis=1).sum()
+        if too_many(count, len(small), MAX_FALSE_ALARMS):
             faults.append(
                 f"{name} is not identifiable, yet {count} draws have a small error"
             )
     return faults
 
 
-def _lacking(answers: Answers, words: str) -> list[str]:
-    """Draws without the warning that must come with each."""
-    lacking = sum(all(words not in one for one in said) for said in answers.warnings)
-    if not words or lacking <= MISLED * len(answers.warnings):
+def _missing_required(answers: Answers, required: str) -> list[str]:
+    """Fault of draws without the warning that is required of each."""
+    count = sum(
+        all(required not in sentence for sentence in sentences)
+        for sentences in answers.warnings
+    )
+    if not required or count <= MAX_MISSING_WARNINGS * len(answers.warnings):
         return []
-    return [f"{lacking} draws come without {words!r} in a warning"]
+    return [f"{count} draws come without {required!r} in a warning"]
 
 
-def _worst(labels: tuple[str, ...], marks: Marks) -> tuple[float, str]:
-    """The parameter whose intervals hold the truth least often."""
-    # A fraction of few draws is too uncertain.
-    enough = max(10, len(marks.doubted) // 10)
-    shares = {
-        label: share(marks.inside[:, k], marks.trusted[:, k])
+def _lowest_coverage(labels: tuple[str, ...], marks: Marks) -> tuple[float, str]:
+    """Lowest coverage of any parameter, and that parameter's label."""
+    # The coverage of few draws is too uncertain.
+    fewest = max(10, len(marks.warned) // 10)
+    coverage = {
+        label: fraction(marks.covered[:, k], marks.trusted[:, k])
         for k, label in enumerate(labels)
-        if marks.trusted[:, k].sum() >= enough
+        if marks.trusted[:, k].sum() >= fewest
     }
-    label = min(shares, key=lambda one: shares[one], default="")
-    return shares.get(label, np.nan), label
+    lowest = min(coverage, key=lambda label: coverage[label], default="")
+    return coverage.get(lowest, np.nan), lowest
 
 
 def _pulls(answers: Answers, counted: Each) -> float:
+    """Root mean square of (estimate − truth) / error over the counted entries."""
     if not counted.any():
         return np.nan
-    off = (answers.estimate - answers.truth)[counted]
+    deviation = (answers.estimate - answers.truth)[counted]
     with np.errstate(divide="ignore", invalid="ignore"):
-        return float(np.sqrt(np.mean((off / answers.error[counted]) ** 2)))
+        return float(np.sqrt(np.mean((deviation / answers.error[counted]) ** 2)))

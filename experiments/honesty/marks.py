@@ -26,58 +26,63 @@ class Marks:
 
     - `finite`: whether a number has a finite error;
     - `trusted`: whether it is finite and its draw has no warning about the fit;
-    - `inside`: whether its interval holds the truth;
-    - `bound`: whether it is trusted and lies on its bound;
-    - `astray`: whether it is far off, see `FAR`;
-    - `doubted`: whether a draw has a warning about the fit, or no answer.
+    - `covered`: whether its interval contains the truth;
+    - `on_bound`: whether it is trusted and lies on its bound;
+    - `off`: whether it is far from the truth, see `FAR`;
+    - `warned`: whether a draw has a warning about the fit, or no answer.
     """
 
     finite: Each
     trusted: Each
-    inside: Each
-    bound: Each
-    astray: Each
-    doubted: Bool[np.ndarray, " draws"]
+    covered: Each
+    on_bound: Each
+    off: Each
+    warned: Bool[np.ndarray, " draws"]
 
     @property
-    def free(self) -> Each:
+    def interior(self) -> Each:
         """Whether a number is trusted and not on a bound."""
-        return self.trusted & ~self.bound
+        return self.trusted & ~self.on_bound
 
     @property
-    def beside(self) -> Each:
+    def beside_bound(self) -> Each:
         """Whether a number is free, in a draw where another lies on its bound."""
-        return self.free & self.bound.any(axis=1, keepdims=True)
+        return self.interior & self.on_bound.any(axis=1, keepdims=True)
 
     @property
     def far(self) -> Bool[np.ndarray, " draws"]:
         """Draws in which an estimate is far off."""
-        return np.any(self.astray & self.finite, axis=1)
+        return np.any(self.off & self.finite, axis=1)
 
     @property
     def misled(self) -> Bool[np.ndarray, " draws"]:
         """Draws with an estimate far off and without a warning."""
-        return self.far & ~self.doubted
+        return self.far & ~self.warned
 
 
-def look(answers: Answers) -> Marks:
+def compare(answers: Answers) -> Marks:
     """Compare answers with the truth, and classify their warnings."""
-    doubted = np.array([any(map(is_doubtful, said)) for said in answers.warnings])
+    warned = np.array(
+        [
+            any(map(is_doubtful, warnings_of_draw))
+            for warnings_of_draw in answers.warnings
+        ]
+    )
     finite = np.isfinite(answers.error)
-    truth, off = answers.truth, np.abs(answers.estimate - answers.truth)
+    truth, deviation = answers.truth, np.abs(answers.estimate - answers.truth)
     slack = ROUNDING * np.abs(truth)
-    trusted = finite & ~doubted[:, None]
+    trusted = finite & ~warned[:, None]
     # Asymmetric errors: the interval's side towards the truth is used.
     side = np.where(truth > answers.estimate, answers.high, answers.low)
     error = np.fmax(answers.error, np.abs(side - answers.estimate) / REACH)
     reach = np.where(answers.at_bound, FAR**2, FAR) * error
-    # If the truth is outside the bounds, an estimate at its bound is not astray.
-    outside = (truth < answers.box[:, 0]) | (truth > answers.box[:, 1])
+    # If the truth is outside the bounds, an estimate at its bound is not off.
+    outside = (truth < answers.bounds[:, 0]) | (truth > answers.bounds[:, 1])
     return Marks(
         finite=finite,
         trusted=trusted,
-        inside=(answers.low <= truth + slack) & (truth - slack <= answers.high),
-        bound=trusted & answers.at_bound,
-        astray=~(off <= reach + slack) & ~(outside & answers.at_bound),
-        doubted=doubted,
+        covered=(answers.low <= truth + slack) & (truth - slack <= answers.high),
+        on_bound=trusted & answers.at_bound,
+        off=~(deviation <= reach + slack) & ~(outside & answers.at_bound),
+        warned=warned,
     )

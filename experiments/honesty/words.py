@@ -11,84 +11,84 @@ from experiments.honesty.answers import REFUSED
 FLAG = "flag: "
 
 
-class Subject(enum.Enum):
+class WarningSubject(enum.Enum):
     """Subject of a warning."""
 
     FIT = "the model, the noise or the residuals: no number is to be trusted"
     BOUND = "an estimate at its bound: its own error is one-sided"
     OPEN = "what is not identifiable: its error is infinite"
     REFUSED = "no answer was given"
-    UNKNOWN = "nobody has said"
+    UNKNOWN = "a code that is not in SUBJECTS"
 
 
 SUBJECTS = {
-    "not-converged": Subject.FIT,
-    "lack-of-fit": Subject.FIT,
-    "jpeg-blocks": Subject.FIT,
-    "coarse-jpeg": Subject.FIT,
-    "jpeg-texels": Subject.FIT,
-    "noise-level": Subject.FIT,
-    "low-white": Subject.FIT,
-    "encoding-doubtful": Subject.FIT,
-    "few-unclipped": Subject.FIT,
-    "outliers": Subject.FIT,
-    "prior-conflict": Subject.FIT,
-    "moving-edge": Subject.FIT,
-    "bound-decides": Subject.FIT,
-    "two-solutions": Subject.FIT,
+    "not-converged": WarningSubject.FIT,
+    "lack-of-fit": WarningSubject.FIT,
+    "jpeg-blocks": WarningSubject.FIT,
+    "coarse-jpeg": WarningSubject.FIT,
+    "jpeg-texels": WarningSubject.FIT,
+    "noise-level": WarningSubject.FIT,
+    "low-white": WarningSubject.FIT,
+    "encoding-doubtful": WarningSubject.FIT,
+    "few-unclipped": WarningSubject.FIT,
+    "outliers": WarningSubject.FIT,
+    "prior-conflict": WarningSubject.FIT,
+    "moving-edge": WarningSubject.FIT,
+    "bound-decides": WarningSubject.FIT,
+    "two-solutions": WarningSubject.FIT,
     # A rejected highlight casts doubt on the fit; it is not a gap in the data.
-    "rejected-highlight": Subject.FIT,
-    "bulging-normals": Subject.FIT,
-    "broad-highlights": Subject.FIT,
-    "pixels-misplaced": Subject.FIT,
-    "materials-run-out": Subject.FIT,
-    "strengths-doubtful": Subject.FIT,
-    "at-bound": Subject.BOUND,
-    "not-identifiable": Subject.OPEN,
-    "no-highlight": Subject.OPEN,
-    "degenerate": Subject.OPEN,
-    "all-white": Subject.OPEN,
-    "drawn-errors": Subject.OPEN,
+    "rejected-highlight": WarningSubject.FIT,
+    "bulging-normals": WarningSubject.FIT,
+    "broad-highlights": WarningSubject.FIT,
+    "pixels-misplaced": WarningSubject.FIT,
+    "materials-run-out": WarningSubject.FIT,
+    "strengths-doubtful": WarningSubject.FIT,
+    "at-bound": WarningSubject.BOUND,
+    "not-identifiable": WarningSubject.OPEN,
+    "no-highlight": WarningSubject.OPEN,
+    "degenerate": WarningSubject.OPEN,
+    "all-white": WarningSubject.OPEN,
+    "drawn-errors": WarningSubject.OPEN,
     # Flags of a map's pixels.
-    f"{FLAG}misfit": Subject.FIT,
-    f"{FLAG}not converged": Subject.FIT,
-    f"{FLAG}at bound": Subject.BOUND,
-    f"{FLAG}degenerate": Subject.OPEN,
-    f"{FLAG}no highlight": Subject.OPEN,
-    f"{FLAG}too few": Subject.OPEN,
-    f"{FLAG}black": Subject.OPEN,
+    f"{FLAG}misfit": WarningSubject.FIT,
+    f"{FLAG}not converged": WarningSubject.FIT,
+    f"{FLAG}at bound": WarningSubject.BOUND,
+    f"{FLAG}degenerate": WarningSubject.OPEN,
+    f"{FLAG}no highlight": WarningSubject.OPEN,
+    f"{FLAG}too few": WarningSubject.OPEN,
+    f"{FLAG}black": WarningSubject.OPEN,
 }
 
 Warnings = Sequence[tuple[str, ...]]
 """The sentences of every draw."""
 
 
-def subject_of(warning: str) -> Subject:
+def subject_of(warning: str) -> WarningSubject:
     """The subject of a sentence of `fit.warnings`, or of a pixel's flag."""
     if warning.startswith(REFUSED):
-        return Subject.REFUSED
-    return SUBJECTS.get(_key(warning), Subject.UNKNOWN)
+        return WarningSubject.REFUSED
+    return SUBJECTS.get(_key(warning), WarningSubject.UNKNOWN)
 
 
 def is_doubtful(warning: str) -> bool:
     """Whether a warning casts doubt on all numbers of a fit."""
-    return subject_of(warning) in (Subject.FIT, Subject.REFUSED)
+    return subject_of(warning) in (WarningSubject.FIT, WarningSubject.REFUSED)
 
 
-def doubts(warnings: Warnings, most: int = 5) -> dict[str, int]:
+def count_doubts(warnings: Warnings, most: int = 5) -> dict[str, int]:
     """Codes of warnings that cast doubt on a draw, and how many draws had each."""
     count = collections.Counter(
         key
-        for said in warnings
-        for key in {_key(one) for one in said if is_doubtful(one)}
+        for sentences in warnings
+        for key in {_key(one) for one in sentences if is_doubtful(one)}
     )
     return dict(count.most_common(most))
 
 
-def unknown_words(warnings: Warnings, most: int = 3) -> list[str]:
+def unknown_warnings(warnings: Warnings, most: int = 3) -> list[str]:
     """Warnings whose code is not in `SUBJECTS`, each once."""
-    found = {one for said in set(warnings) for one in said}
-    unknown = {one for one in found if subject_of(one) is Subject.UNKNOWN}
+    distinct = {one for sentences in set(warnings) for one in sentences}
+    unknown = {one for one in distinct if subject_of(one) is WarningSubject.UNKNOWN}
     return sorted({_without_numbers(one) for one in unknown})[:most]
 
 
@@ -97,5 +97,5 @@ def _key(warning: str) -> str:
     return pf.warning_code(warning) or _without_numbers(warning)
 
 
-def _without_numbers(words: str) -> str:
-    return re.sub(r"\d+", "#", words)
+def _without_numbers(sentence: str) -> str:
+    return re.sub(r"\d+", "#", sentence)

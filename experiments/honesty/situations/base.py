@@ -13,13 +13,13 @@ import numpy as np
 from jaxtyping import Float
 
 import phongfit as pf
-from experiments.honesty.answers import Answers, Scenes, Shot, fit_all
+from experiments.honesty.answers import Answers, Scenes, Trial, fit_trials
 from experiments.honesty.judge import Kind
 
 Image: TypeAlias = Float[np.ndarray, "height width 3"]
 Draws: TypeAlias = Sequence[np.random.Generator]
-Take: TypeAlias = Callable[[Image, np.random.Generator], Image]
-"""From the light of a scene to its photograph."""
+Photograph: TypeAlias = Callable[[Image, np.random.Generator], Image]
+"""Makes a photograph from the linear light of a scene: adds noise, clips, rounds."""
 
 SIZE = 48
 # For fits of many unknowns of a scene from many starts.
@@ -33,23 +33,23 @@ LAMP = (1.0, 1.0, 2.0)
 
 @dataclasses.dataclass(frozen=True)
 class Situation:
-    """Something that users meet: how it is drawn and fitted, and how it is judged.
+    """A kind of data and fit that users meet, and what is expected of its results.
 
-    - `name`, `kind`: see [`judge`][];
-    - `ask`: takes a random generator for each draw, returns the answers of their fits;
-    - `free`: parameters that the data cannot identify;
+    - `name`: unique; `kind`: what is expected, see [`judge`][];
+    - `answer`: fits one draw for each random generator, and returns the answers;
+    - `unidentifiable`: parameters that the data cannot identify;
     - `wide`: whether intervals may be too wide;
-    - `words`: part of a warning that each draw must have;
-    - `share`: fraction of the draws to run, below 1 where a draw takes long.
+    - `required_warning`: part of a warning that each draw must have;
+    - `draw_fraction`: fraction of the draws to run, below 1 where a draw takes long.
     """
 
     name: str
     kind: Kind
-    ask: Callable[[Draws], Answers]
-    free: tuple[str, ...] = ()
+    answer: Callable[[Draws], Answers]
+    unidentifiable: tuple[str, ...] = ()
     wide: bool = False
-    words: str = ""
-    share: float = 1.0
+    required_warning: str = ""
+    draw_fraction: float = 1.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,23 +72,23 @@ Draw: TypeAlias = Callable[[np.random.Generator], Subject]
 """Makes the subject of a draw: a random one, or the same one each time."""
 
 
-def when_asked(make: Callable[[], Subject]) -> Draw:
+def cached_subject(make: Callable[[], Subject]) -> Draw:
     """A `Draw` that makes its subject at the first use, and returns it each time."""
-    made = functools.cache(make)
-    return lambda rng: made()
+    cached = functools.cache(make)
+    return lambda rng: cached()
 
 
-Given: TypeAlias = Callable[[Image, np.random.Generator], Mapping[str, Any]]
-"""Options of a fit that follow from the light, such as a map of its noise."""
+DrawOptions: TypeAlias = Callable[[Image, np.random.Generator], Mapping[str, Any]]
+"""Options of a fit that depend on the draw, such as a map of its noise."""
 
 
 def fits(
     subject: Subject | Draw,
-    take: Take,
+    photograph: Photograph,
     *,
     fitted: Scenes | None = None,
-    given: Given | None = None,
-    others: Mapping[str, float] | None = None,
+    draw_options: DrawOptions | None = None,
+    other_truths: Mapping[str, float] | None = None,
     **options: Any,
 ) -> Callable[[Draws], Answers]:
     """A function that photographs and fits a subject once for each draw.
@@ -96,41 +96,40 @@ def fits(
     **Arguments:**
 
     - `subject`: the true one, or how to draw it.
-    - `take`: makes a photograph from light.
+    - `photograph`: makes a photograph from light.
     - `fitted`: the scenes that the fit is given; default the true ones.
-    - `given`, `options`: of the fit.
-    - `others`: see [`Shot`][].
+    - `options`: of the fit, the same in all draws; `draw_options`: those that differ.
+    - `other_truths`: see [`Trial`][].
     """
 
-    def shots(draws: Draws) -> Iterator[Shot]:
+    def trials(draws: Draws) -> Iterator[Trial]:
         for rng in draws:
             true = subject if isinstance(subject, Subject) else subject(rng)
             single = len(true.scenes) == 1
-            images = [take(light, rng) for light in true.light]
-            stated = true.scenes if fitted is None else fitted
-            if single and not isinstance(stated, pf.Scene):
-                stated = stated[0]
-            more = {} if given is None else given(true.light[0], rng)
-            yield Shot(
-                stated,
+            images = [photograph(light, rng) for light in true.light]
+            assumed = true.scenes if fitted is None else fitted
+            if single and not isinstance(assumed, pf.Scene):
+                assumed = assumed[0]
+            extra = {} if draw_options is None else draw_options(true.light[0], rng)
+            yield Trial(
+                assumed,
                 images[0] if single else images,
-                {**options, **more},
+                {**options, **extra},
                 true.scenes,
                 true.material,
-                others or {},
+                other_truths or {},
             )
 
-    return lambda draws: fit_all(shots(draws))
+    return lambda draws: fit_trials(trials(draws))
 
 
 MATERIAL = pf.Material((0.6, 0.3, 0.2), (0.3, 0.25, 0.35), 20.0, (0.5, 0.4, 0.3))
 
 
-def changed(**parameters: Any) -> pf.Material:
-    """The usual material, with these parameters replaced."""
-    usual = {name: getattr(MATERIAL, name) for name in ("diffuse", "specular")}
-    usual |= {name: getattr(MATERIAL, name) for name in ("shininess", "ambient")}
-    return pf.Material(**(usual | parameters))
+def usual_material(**changes: Any) -> pf.Material:
+    """`MATERIAL` with these parameters replaced."""
+    names = ("diffuse", "specular", "shininess", "ambient")
+    return pf.Material(**({name: getattr(MATERIAL, name) for name in names} | changes))
 
 
 def lamp(
@@ -142,24 +141,24 @@ def lamp(
     )
 
 
-def ball(
+def ball_scene(
     *lights: pf.AbstractLight, size: int = SIZE, ambient: float = 0.3, **changes: Any
 ) -> pf.Scene:
     """A sphere under the usual lamp, or under these lights."""
-    usual = {"surface": pf.Sphere(), "camera": pf.OrthographicCamera(size, size)}
-    return pf.Scene(**(usual | changes), lights=lights or lamp(), ambient=ambient)
+    defaults = {"surface": pf.Sphere(), "camera": pf.OrthographicCamera(size, size)}
+    return pf.Scene(**(defaults | changes), lights=lights or lamp(), ambient=ambient)
 
 
-def usual(material: pf.Material = MATERIAL, *scenes: pf.Scene) -> Subject:
+def usual_subject(material: pf.Material = MATERIAL, *scenes: pf.Scene) -> Subject:
     """A subject of this material: the usual ball under one lamp, or these scenes."""
-    return Subject(scenes or (ball(),), material)
+    return Subject(scenes or (ball_scene(),), material)
 
 
-def noisy(level: float = NOISE) -> Take:
+def noisy(level: float = NOISE) -> Photograph:
     """A function that adds Gaussian noise to light."""
     return lambda light, rng: light + level * rng.normal(size=light.shape)
 
 
-def clamped(take: Take) -> Take:
-    """A function that applies `take` and clips the result to [0, 1]."""
-    return lambda light, rng: np.clip(take(light, rng), 0, 1)
+def clamped(photograph: Photograph) -> Photograph:
+    """A function that applies `photograph` and clips the result to [0, 1]."""
+    return lambda light, rng: np.clip(photograph(light, rng), 0, 1)

@@ -1,4 +1,4 @@
-"""Captures: maps with unknown normals; lamps and cameras that are not known well."""
+"""Captures: maps with unknown normals, and uncertain lamps and cameras."""
 
 import dataclasses
 import tempfile
@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 import phongfit as pf
 from data_synth.lights import spread_directions
-from experiments.honesty.answers import REFUSED, Answers, Said, gather
+from experiments.honesty.answers import REFUSED, Answers, DrawAnswer, join_draws
 from experiments.honesty.situations.base import (
     MATERIAL,
     UNCLAMPED,
@@ -27,7 +27,7 @@ SPECULAR, SHININESS = 0.3, 25.0
 # Distance of near lamps, and the camera's angle of view in degrees.
 NEAR, FOV = 3.0, 50.0
 # Standard deviation of the logarithm of strengths.
-UNEQUAL = 0.1
+STRENGTH_SCATTER = 0.1
 # Along a side of a texture.
 TEXELS = 4
 HIGHLIGHT = ("specular.red", "specular.green", "specular.blue", "shininess")
@@ -44,93 +44,115 @@ class Answer(NamedTuple):
 
 
 def situations() -> list[Situation]:
-    """All of them."""
+    """All situations with captures."""
     bounds = {"shininess": (15.0, 1000.0)}
-    # Many maps each.
-    few: Any = {"share": 0.04}
+    # Each draw fits a whole map.
+    few_draws: Any = {"draw_fraction": 0.04}
     return [
-        Situation("normals, a shared highlight", "right", shared(), **few),
+        Situation(
+            "normals, a shared highlight", "right", shared_highlight(), **few_draws
+        ),
         Situation(
             "normals, a shared highlight of a matte ball",
             "open",
-            shared(0.0),
-            free=("shininess",),
+            shared_highlight(0.0),
+            unidentifiable=("shininess",),
             wide=True,
-            share=0.2,
+            draw_fraction=0.2,
         ),
         Situation(
             "normals, the same, f from 15",
             "open",
-            shared(0.0, bounds=bounds),
-            free=("shininess",),
+            shared_highlight(0.0, bounds=bounds),
+            unidentifiable=("shininess",),
             wide=True,
-            share=0.2,
+            draw_fraction=0.2,
         ),
         Situation(
-            "normals, materials of a matte ball counted", "right", counted, **few
+            "normals, materials of a matte ball counted",
+            "right",
+            matte_ball_materials,
+            **few_draws,
         ),
-        Situation("normals, near lamps", "right", shared(near=True), wide=True, **few),
+        Situation(
+            "normals, near lamps",
+            "right",
+            shared_highlight(near=True),
+            wide=True,
+            **few_draws,
+        ),
         Situation(
             "normals, near lamps in one pass",
             "wrong",
-            shared(near=True, passes=1),
-            words="[pixels-misplaced]",
-            **few,
+            shared_highlight(near=True, passes=1),
+            required_warning="[pixels-misplaced]",
+            **few_draws,
         ),
-        Situation("normals, strengths fitted", "right", strengths, wide=True, **few),
+        Situation(
+            "normals, strengths fitted", "right", strengths, wide=True, **few_draws
+        ),
         Situation(
             "normals, lamps of other strengths",
             "wrong",
-            shared(unequal=True),
-            words="[strengths-doubtful]",
-            **few,
+            shared_highlight(unequal_strengths=True),
+            required_warning="[strengths-doubtful]",
+            **few_draws,
         ),
-        Situation("an angle of view fitted", "right", angle_of_view, wide=True, **few),
+        Situation(
+            "an angle of view fitted", "right", angle_of_view, wide=True, **few_draws
+        ),
         Situation(
             "the texture of a matte mesh",
             "open",
             texture,
-            free=("shininess",),
+            unidentifiable=("shininess",),
             wide=True,
-            share=0.2,
+            draw_fraction=0.2,
         ),
         Situation(
             "lamps behind the surface",
             "wrong",
-            behind,
-            words="turn the sign of z",
-            **few,
+            lamps_behind,
+            required_warning="turn the sign of z",
+            **few_draws,
         ),
     ]
 
 
-def each(
-    labels: tuple[str, ...], ask: Callable[[np.random.Generator], Answer]
+def per_draw(
+    labels: tuple[str, ...], answer: Callable[[np.random.Generator], Answer]
 ) -> Callable[[Draws], Answers]:
     """Collect the answers of single draws, with intervals of ± 1.96 errors."""
 
     def answers(draws: Draws) -> Answers:
-        said: list[Said | str] = []
+        answers: list[DrawAnswer | str] = []
         for rng in draws:
             try:
-                found = ask(rng)
+                result = answer(rng)
             except ValueError as error:
-                said.append(f"{REFUSED}{error}")
+                answers.append(f"{REFUSED}{error}")
                 continue
             truth, estimate, error, at_bound = (
                 np.broadcast_to(np.asarray(one, float), len(labels))
-                for one in (found.truth, found.estimate, found.error, found.at_bound)
+                for one in (
+                    result.truth,
+                    result.estimate,
+                    result.error,
+                    result.at_bound,
+                )
             )
             low, high = estimate + 1.96 * error * [[-1.0], [1.0]]
             bound = at_bound.astype(bool)
-            said.append(Said(truth, estimate, error, low, high, bound, found.warnings))
+            answers.append(
+                DrawAnswer(truth, estimate, error, low, high, bound, result.warnings)
+            )
         box = [(1.0, 1000.0) if one == "shininess" else (0.0, np.inf) for one in labels]
-        return gather(labels, np.array(box), said)
+        return join_draws(labels, np.array(box), answers)
 
     return answers
 
 
-def balls(near: bool = False) -> list[pf.Scene]:
+def ball_scenes(near: bool = False) -> list[pf.Scene]:
     """The ball under each lamp: far away, or with light that falls off as 1/r²."""
     lights = [
         pf.PointLight(NEAR * way, attenuation=(0, 0, 1 / NEAR**2))
@@ -151,7 +173,7 @@ def photographs(
     return np.stack(light) + noise.astype(light[0].dtype)
 
 
-def flat(scenes: list[pf.Scene]) -> list[pf.Scene]:
+def on_plane(scenes: list[pf.Scene]) -> list[pf.Scene]:
     """Scenes with a plane in the ball's place, since the ball's form is unknown."""
     steps = (np.arange(SIZE) + 0.5 - SIZE / 2) * float(CAMERA.view_height) / SIZE
     x, y = np.meshgrid(steps, -steps)
@@ -160,7 +182,7 @@ def flat(scenes: list[pf.Scene]) -> list[pf.Scene]:
     return [dataclasses.replace(one, surface=plane) for one in scenes]
 
 
-def seen(rim: float = 0.35) -> np.ndarray:
+def central_mask(rim: float = 0.35) -> np.ndarray:
     """Pixels of the ball without its rim, up to this cosine."""
     buffer = pf.trace(pf.Sphere(), CAMERA)
     return np.asarray(buffer.mask) & (np.asarray(buffer.normal)[..., 2] > rim)
@@ -168,144 +190,148 @@ def seen(rim: float = 0.35) -> np.ndarray:
 
 def fit_normals(scenes: list[pf.Scene], images: np.ndarray, **options: Any) -> pf.Maps:
     """Maps of normals and materials, of which one highlight is shared."""
-    usual: dict[str, Any] = {
+    defaults: dict[str, Any] = {
         "unknowns": ("diffuse", "specular", "shininess"),
         "materials": 1,
     }
     return pf.fit_maps(
-        flat(scenes),
+        on_plane(scenes),
         images,
         per_channel=("diffuse",),
         normals="fit",
-        mask=seen(),
+        mask=central_mask(),
         film=UNCLAMPED,
         progress=False,
-        **(usual | options),
+        **(defaults | options),
     )
 
 
-def shared(
+def shared_highlight(
     specular: float = SPECULAR,
     near: bool = False,
-    unequal: bool = False,
+    unequal_strengths: bool = False,
     **options: Any,
 ) -> Callable[[Draws], Answers]:
     """The highlight that all pixels share, and the root mean square of their normals.
 
-    **Arguments:** `unequal`: whether lamps are not as strong as the scenes have them.
+    **Arguments:** `unequal_strengths`: whether lamps have other strengths than scenes.
     """
 
-    def ask(rng: np.random.Generator) -> Answer:
-        scenes = balls(near)
+    def answer(rng: np.random.Generator) -> Answer:
+        scenes = ball_scenes(near)
         images = photographs(scenes, specular, rng)
-        if unequal:
+        if unequal_strengths:
             images *= factors(rng).astype(images.dtype)[:, None, None, None]
         maps = fit_normals(scenes, images, **options)
-        found = maps.materials
-        assert found is not None
+        result = maps.materials
+        assert result is not None
         return Answer(
             (specular, SHININESS, 0.0),
-            (found.specular[0, 0], found.shininess[0], angle_off(maps)),
-            (found.stderr_specular[0, 0], found.stderr_shininess[0], stated(maps)),
+            (result.specular[0, 0], result.shininess[0], angle_off(maps)),
+            (
+                result.stderr_specular[0, 0],
+                result.stderr_shininess[0],
+                stated_error(maps),
+            ),
             maps.warnings,
-            (found.specular[0, 0] == 0, found.at_bound[0], False),
+            (result.specular[0, 0] == 0, result.at_bound[0], False),
         )
 
-    return each(("specular", "shininess", "normals"), ask)
+    return per_draw(("specular", "shininess", "normals"), answer)
 
 
 def angle_off(maps: pf.Maps) -> float:
     """Root mean square of the normals' angles to the true ones, degrees."""
     true = np.asarray(pf.trace(pf.Sphere(), CAMERA).normal)
-    cosine = np.sum(maps.normals * true, axis=-1)[known(maps)]
+    cosine = np.sum(maps.normals * true, axis=-1)[has_normal(maps)]
     return float(np.sqrt(np.mean(np.degrees(np.arccos(cosine.clip(-1, 1))) ** 2)))
 
 
-def stated(maps: pf.Maps) -> float:
+def stated_error(maps: pf.Maps) -> float:
     """Root mean square of the normals' standard errors, degrees."""
-    return float(np.sqrt(np.mean(maps.normals_stderr[known(maps)] ** 2)))
+    return float(np.sqrt(np.mean(maps.normals_stderr[has_normal(maps)] ** 2)))
 
 
-def known(maps: pf.Maps) -> np.ndarray:
+def has_normal(maps: pf.Maps) -> np.ndarray:
     """Pixels with a normal."""
     return np.isfinite(maps.normals_stderr) & (maps.normals_stderr > 0)
 
 
 def factors(rng: np.random.Generator) -> np.ndarray:
     """Strengths of the lamps, whose mean is 1."""
-    values = np.exp(UNEQUAL * rng.normal(size=LAMPS))
+    values = np.exp(STRENGTH_SCATTER * rng.normal(size=LAMPS))
     return values / values.mean()
 
 
-def counted(draws: Draws) -> Answers:
+def matte_ball_materials(draws: Draws) -> Answers:
     """ρ_s of the first material, or 0 where no material has a highlight."""
 
-    def ask(rng: np.random.Generator) -> Answer:
-        scenes = balls()
+    def answer(rng: np.random.Generator) -> Answer:
+        scenes = ball_scenes()
         maps = fit_normals(scenes, photographs(scenes, 0.0, rng), materials="auto")
-        found = maps.materials
+        result = maps.materials
         value, error = 0.0, 0.0
-        if found is not None:
-            value, error = found.specular[0, 0], found.stderr_specular[0, 0]
+        if result is not None:
+            value, error = result.specular[0, 0], result.stderr_specular[0, 0]
         return Answer(0.0, value, error, maps.warnings)
 
-    return each(("specular",), ask)(draws)
+    return per_draw(("specular",), answer)(draws)
 
 
 def strengths(draws: Draws) -> Answers:
     """Strengths of the lamps of a matte ball, found with its normals."""
 
-    def ask(rng: np.random.Generator) -> Answer:
-        scenes, true = balls(), factors(rng)
+    def answer(rng: np.random.Generator) -> Answer:
+        scenes, true = ball_scenes(), factors(rng)
         images = photographs(scenes, 0.0, rng)
         images *= true.astype(images.dtype)[:, None, None, None]
         maps = fit_normals(
             scenes, images, unknowns=("diffuse",), materials=None, strengths="fit"
         )
-        found = maps.strengths
-        assert found is not None
-        return Answer(true, found.values, found.stderr, maps.warnings)
+        result = maps.strengths
+        assert result is not None
+        return Answer(true, result.values, result.stderr, maps.warnings)
 
-    return each(tuple(f"strength[{k}]" for k in range(LAMPS)), ask)(draws)
+    return per_draw(tuple(f"strength[{k}]" for k in range(LAMPS)), answer)(draws)
 
 
 def angle_of_view(draws: Draws) -> Answers:
     """The angle over which a camera sees a ball that fills its view."""
 
-    def ask(rng: np.random.Generator) -> Answer:
+    def answer(rng: np.random.Generator) -> Answer:
         camera = pf.PerspectiveCamera(SIZE, SIZE, fov_y=FOV, position=(0, 0, 0))
         away = 1 / np.sin(np.radians(FOV / 2))
         ball = pf.Sphere((0.0, 0.0, -float(away)))
         lights = [pf.DirectionalLight(way) for way in DIRECTIONS]
         scenes = [pf.Scene(ball, camera, light) for light in lights]
         rows, columns = np.indices((SIZE, SIZE)) - (SIZE - 1) / 2
-        found = pf.fit_fov(
-            flat(balls()),
+        result = pf.fit_fov(
+            on_plane(ball_scenes()),
             photographs(scenes, SPECULAR, rng),
             unknowns=("diffuse", "specular", "shininess"),
             per_channel=("diffuse", "specular"),
             mask=np.hypot(rows, columns) < 0.45 * SIZE,
             film=UNCLAMPED,
         )
-        return Answer(FOV, found.degrees, found.stderr, ())
+        return Answer(FOV, result.degrees, result.stderr, ())
 
-    return each(("fov",), ask)(draws)
+    return per_draw(("fov",), answer)(draws)
 
 
-def behind(draws: Draws) -> Answers:
+def lamps_behind(draws: Draws) -> Answers:
     """A list of lamps with a z that points away from the camera."""
 
-    def ask(rng: np.random.Generator) -> Answer:
+    def answer(rng: np.random.Generator) -> Answer:
         names = [f"{k}.png" for k in range(LAMPS)]
         with tempfile.TemporaryDirectory() as folder:
-            images = photographs(balls(), SPECULAR, rng).clip(0, 1)
+            images = photographs(ball_scenes(), SPECULAR, rng).clip(0, 1)
             for name, image in zip(names, images, strict=True):
                 pf.write_image(Path(folder, name), image, "linear", 16)
             pf.write_lp(Path(folder, "lamps.lp"), names, DIRECTIONS * (1, 1, -1))
             open_capture(Path(folder), "linear")
         return Answer(0.0, 0.0, 0.0, ())
 
-    return each(("diffuse",), ask)(draws)
+    return per_draw(("diffuse",), answer)(draws)
 
 
 def texture(draws: Draws) -> Answers:
@@ -319,13 +345,13 @@ def texture(draws: Draws) -> Answers:
     scenes = [pf.Scene(mesh, camera, pf.DirectionalLight(way)) for way in DIRECTIONS]
     side = SIZE // TEXELS
 
-    def ask(rng: np.random.Generator) -> Answer:
+    def answer(rng: np.random.Generator) -> Answer:
         texels = rng.uniform(0.1, 0.6, (TEXELS, TEXELS, 3))
         plain = texels.repeat(side, axis=0).repeat(side, axis=1)
         images = [
             way[2] * plain + 0.01 * rng.normal(size=plain.shape) for way in DIRECTIONS
         ]
-        found = pf.fit_texture(
+        result = pf.fit_texture(
             scenes,
             images,
             size=(TEXELS, TEXELS),
@@ -335,14 +361,14 @@ def texture(draws: Draws) -> Answers:
             wrap="clamp",
             film=UNCLAMPED,
         )
-        numbers = {one.label: one for one in found.shared}
-        some = [numbers[label] for label in HIGHLIGHT]
+        numbers = {one.label: one for one in result.shared}
+        estimates = [numbers[label] for label in HIGHLIGHT]
         return Answer(
             (0.0, 0.0, 0.0, SHININESS),
-            [one.value for one in some],
-            [one.stderr for one in some],
-            found.warnings,
-            [one.value == 0 for one in some],
+            [one.value for one in estimates],
+            [one.stderr for one in estimates],
+            result.warnings,
+            [one.value == 0 for one in estimates],
         )
 
-    return each(HIGHLIGHT, ask)(draws)
+    return per_draw(HIGHLIGHT, answer)(draws)

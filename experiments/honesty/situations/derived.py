@@ -6,19 +6,19 @@ from typing import Any
 import numpy as np
 
 import phongfit as pf
-from experiments.honesty.answers import LEVEL, Answers, Said, gather
+from experiments.honesty.answers import LEVEL, Answers, DrawAnswer, join_draws
 from experiments.honesty.situations.base import (
     NOISE,
     UNCLAMPED,
     Draws,
+    Photograph,
     Situation,
     Subject,
-    Take,
-    ball,
-    changed,
+    ball_scene,
     fits,
     noisy,
-    usual,
+    usual_material,
+    usual_subject,
 )
 from experiments.honesty.situations.noise import film
 from phongfit.fitting.uncertainty.quantiles import student_reach
@@ -27,27 +27,27 @@ from phongfit.fitting.uncertainty.quantiles import student_reach
 def situations() -> list[Situation]:
     """All situations with predictions and profiles."""
     predictions = {
-        "predicted errors": (usual(), NOISE),
+        "predicted errors": (usual_subject(), NOISE),
         "predicted errors at a bound": (
-            usual(changed(ambient=(0.0, 0.4, 0.3))),
+            usual_subject(usual_material(ambient=(0.0, 0.4, 0.3))),
             NOISE,
         ),
         "predicted errors, f = 1.5, noise 0.2": (
-            usual(changed(shininess=1.5), ball(size=24)),
+            usual_subject(usual_material(shininess=1.5), ball_scene(size=24)),
             0.2,
         ),
         "predicted errors without a highlight": (
-            usual(changed(specular=0.0)),
+            usual_subject(usual_material(specular=0.0)),
             NOISE,
         ),
     }
     brass = pf.preset("brass")
     levels = film("linear", 8, NOISE)
-    faint = usual(changed(specular=0.03))
+    faint = usual_subject(usual_material(specular=0.03))
     profiles: dict[str, Any] = {
-        "profile of f": profiled(usual(), noisy(), "shininess", 20.0),
+        "profile of f": profiled(usual_subject(), noisy(), "shininess", 20.0),
         "profile of f, brass in 8 bits": profiled(
-            usual(brass), levels, "shininess", float(brass.shininess)
+            usual_subject(brass), levels, "shininess", float(brass.shininess)
         ),
         "profile of ρ_s, a faint highlight": profiled(
             faint, noisy(), "specular.red", 0.03
@@ -55,12 +55,12 @@ def situations() -> list[Situation]:
     }
     return [
         *(
-            Situation(name, "doubtful", predicted(*asked), wide=True)
-            for name, asked in predictions.items()
+            Situation(name, "doubtful", predicted(*arguments), wide=True)
+            for name, arguments in predictions.items()
         ),
         *(
-            Situation(name, "right", ask, wide=True, share=0.5)
-            for name, ask in profiles.items()
+            Situation(name, "right", answer, wide=True, draw_fraction=0.5)
+            for name, answer in profiles.items()
         ),
     ]
 
@@ -68,49 +68,49 @@ def situations() -> list[Situation]:
 def predicted(subject: Subject, noise: float) -> Callable[[Draws], Answers]:
     """Answers that pair the estimates of fits with predicted errors."""
 
-    def ask(draws: Draws) -> Answers:
+    def answer(draws: Draws) -> Answers:
         (scene,) = subject.scenes
-        said = pf.predict_errors(scene, subject.material, noise, film=UNCLAMPED)
-        found = fits(subject, noisy(noise))(draws)
-        error = np.broadcast_to(said.errors, found.estimate.shape)
-        ends = found.estimate + 1.96 * error * [[[-1.0]], [[1.0]]]
-        low, high = np.clip(ends, *found.box.T)
+        prediction = pf.predict_errors(scene, subject.material, noise, film=UNCLAMPED)
+        fitted = fits(subject, noisy(noise))(draws)
+        error = np.broadcast_to(prediction.errors, fitted.estimate.shape)
+        ends = fitted.estimate + 1.96 * error * [[[-1.0]], [[1.0]]]
+        low, high = np.clip(ends, *fitted.bounds.T)
         return Answers(
-            labels=found.labels,
-            truth=found.truth,
-            estimate=found.estimate,
+            labels=fitted.labels,
+            truth=fitted.truth,
+            estimate=fitted.estimate,
             error=error,
             low=low,
             high=high,
-            at_bound=np.broadcast_to(said.at_bound, error.shape),
-            box=found.box,
-            warnings=(said.warnings,) * len(draws),
+            at_bound=np.broadcast_to(prediction.at_bound, error.shape),
+            bounds=fitted.bounds,
+            warnings=(prediction.warnings,) * len(draws),
         )
 
-    return ask
+    return answer
 
 
 def profiled(
-    subject: Subject, take: Take, label: str, truth: float
+    subject: Subject, photograph: Photograph, label: str, truth: float
 ) -> Callable[[Draws], Answers]:
     """Profile-likelihood intervals of one parameter."""
 
-    def ask(draws: Draws) -> Answers:
+    def answer(draws: Draws) -> Answers:
         (scene,) = subject.scenes
-        fits = (pf.fit(scene, take(subject.light[0], rng)) for rng in draws)
-        said = [of_profile(fit, label, truth) for fit in fits]
-        return gather((label,), np.array([[-np.inf, np.inf]]), said)
+        fits = (pf.fit(scene, photograph(subject.light[0], rng)) for rng in draws)
+        answers = [answer_of_profile(fit, label, truth) for fit in fits]
+        return join_draws((label,), np.array([[-np.inf, np.inf]]), answers)
 
-    return ask
+    return answer
 
 
-def of_profile(fit: pf.Fit, label: str, truth: float) -> Said:
+def answer_of_profile(fit: pf.Fit, label: str, truth: float) -> DrawAnswer:
     """A profile's interval, and the standard error that a symmetric one would have."""
     low, high = fit.profile(label, levels=(LEVEL,)).intervals[LEVEL]
     error = (high - low) / 2 / student_reach(LEVEL, fit.degrees_of_freedom)
-    found = fit[label]
+    estimate = fit[label]
     truths, values, errors, lows, highs = np.array(
-        [[truth], [found.value], [error], [low], [high]], float
+        [[truth], [estimate.value], [error], [low], [high]], float
     )
-    bound = np.array([found.at_bound])
-    return Said(truths, values, errors, lows, highs, bound, fit.warnings)
+    bound = np.array([estimate.at_bound])
+    return DrawAnswer(truths, values, errors, lows, highs, bound, fit.warnings)

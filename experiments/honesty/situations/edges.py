@@ -13,48 +13,51 @@ from experiments.honesty.situations.base import (
     Image,
     Situation,
     Subject,
-    ball,
-    changed,
+    ball_scene,
+    cached_subject,
     clamped,
     fits,
     lamp,
     noisy,
-    usual,
-    when_asked,
+    usual_material,
+    usual_subject,
 )
 
 
 def situations() -> list[Situation]:
     """All situations at the edges."""
-    return [*white(), *bounds(), *unknowable()]
+    return [*white(), *bounds(), *unidentified()]
 
 
 def white() -> list[Situation]:
     """Situations with more and more samples at white."""
-    shares = (0.01, 0.3, 0.93, 0.97, 0.99)
-    takes: dict[str, Any] = {
-        f"{share:.0%} white": fits(bright(share), clamped(noisy())) for share in shares
+    fractions = (0.01, 0.3, 0.93, 0.97, 0.99)
+    answers: dict[str, Any] = {
+        f"{fraction:.0%} white": fits(bright(fraction), clamped(noisy()))
+        for fraction in fractions
     }
-    takes["97% white, noise given"] = fits(bright(0.97), clamped(noisy()), noise=NOISE)
-    takes["10% at 1 beside negative values"] = fits(bright(0.1, 0.02), cut_above)
+    answers["97% white, noise given"] = fits(
+        bright(0.97), clamped(noisy()), noise=NOISE
+    )
+    answers["10% at 1 beside negative values"] = fits(bright(0.1, 0.02), cut_above)
     # With nearly no samples left, a warning of doubt is right.
-    clipped = tuple(f"{share:.0%}" for share in shares[2:])
+    clipped = tuple(f"{fraction:.0%}" for fraction in fractions[2:])
     return [
-        Situation(name, "doubtful" if name.startswith(clipped) else "right", ask)
-        for name, ask in takes.items()
+        Situation(name, "doubtful" if name.startswith(clipped) else "right", answer)
+        for name, answer in answers.items()
     ]
 
 
-def bright(share: float, ambient: float = 0.3) -> Draw:
+def bright(fraction: float, ambient: float = 0.3) -> Draw:
     """The usual ball, lit so that this fraction of its samples exceeds white."""
 
     def make() -> Subject:
-        light = usual(MATERIAL, ball(ambient=ambient)).light[0]
-        more = 1 / np.quantile(light[light.any(axis=-1)], 1 - share)
-        scene = ball(lamp(intensity=0.6 * more), ambient=ambient * more)
-        return usual(MATERIAL, scene)
+        light = usual_subject(MATERIAL, ball_scene(ambient=ambient)).light[0]
+        brighter = 1 / np.quantile(light[light.any(axis=-1)], 1 - fraction)
+        scene = ball_scene(lamp(intensity=0.6 * brighter), ambient=ambient * brighter)
+        return usual_subject(MATERIAL, scene)
 
-    return when_asked(make)
+    return cached_subject(make)
 
 
 def cut_above(light: Image, rng: np.random.Generator) -> Image:
@@ -64,39 +67,49 @@ def cut_above(light: Image, rng: np.random.Generator) -> Image:
 
 def bounds() -> list[Situation]:
     """Situations with the truth on a bound, or near it."""
-    matte = usual(changed(shininess=1.5), ball(size=24))
-    faint = usual(pf.Material(0.6, 0.1, 1.5, 0.1), ball(lamp(intensity=0.9), size=24))
-    narrow = usual(changed(specular=0.51, shininess=500.0), ball(size=24))
-    loud = noisy(0.2)
-    small = {
-        "f = 1.5, noise 0.2, 24²": fits(matte, loud),
-        "the same, noise given": fits(matte, loud, noise=0.2),
-        "the same, a faint highlight": fits(faint, loud),
+    matte = usual_subject(usual_material(shininess=1.5), ball_scene(size=24))
+    faint = usual_subject(
+        pf.Material(0.6, 0.1, 1.5, 0.1), ball_scene(lamp(intensity=0.9), size=24)
+    )
+    narrow = usual_subject(
+        usual_material(specular=0.51, shininess=500.0), ball_scene(size=24)
+    )
+    strong_noise = noisy(0.2)
+    few_pixels = {
+        "f = 1.5, noise 0.2, 24²": fits(matte, strong_noise),
+        "the same, noise given": fits(matte, strong_noise, noise=0.2),
+        "the same, a faint highlight": fits(faint, strong_noise),
     }
-    twins = ball(lamp(), lamp((1, 1.002, 2)))
+    twins = ball_scene(lamp(), lamp((1, 1.002, 2)))
     materials = {
-        "no ambient": changed(ambient=(0.0, 0.4, 0.3)),
-        "little ambient": changed(ambient=(0.003, 0.005, 0.01)),
-        "no blue": changed(diffuse=(0.6, 0.3, 0.0)),
-        "ρ_s at 1": changed(specular=1.0),
-        "ρ_s beyond 1": changed(specular=(0.999, 0.998, 0.5)),
-        "f = 1.2": changed(shininess=1.2),
+        "no ambient": usual_material(ambient=(0.0, 0.4, 0.3)),
+        "little ambient": usual_material(ambient=(0.003, 0.005, 0.01)),
+        "no blue": usual_material(diffuse=(0.6, 0.3, 0.0)),
+        "ρ_s at 1": usual_material(specular=1.0),
+        "ρ_s beyond 1": usual_material(specular=(0.999, 0.998, 0.5)),
+        "f = 1.2": usual_material(shininess=1.2),
     }
     return [
         *(
-            Situation(name, "right", fits(usual(material), noisy()))
+            Situation(name, "right", fits(usual_subject(material), noisy()))
             for name, material in materials.items()
         ),
-        *(Situation(name, "right", ask, wide=True) for name, ask in small.items()),
+        *(
+            Situation(name, "right", answer, wide=True)
+            for name, answer in few_pixels.items()
+        ),
         # The highlight covers two pixels, and the noise is half as large as it.
         Situation(
-            "the same, a narrow highlight", "doubtful", fits(narrow, loud), wide=True
+            "the same, a narrow highlight",
+            "doubtful",
+            fits(narrow, strong_noise),
+            wide=True,
         ),
         Situation(
             "two lamps 0.002 rad apart",
             "doubtful",
             fits(
-                usual(MATERIAL, twins),
+                usual_subject(MATERIAL, twins),
                 noisy(),
                 unknowns=tuple(f"scene.lights[{k}].intensity" for k in range(2)),
                 known=MATERIAL,
@@ -104,59 +117,70 @@ def bounds() -> list[Situation]:
             wide=True,
         ),
         Situation(
-            "f past its bound", "wrong", fits(usual(changed(shininess=1600.0)), noisy())
+            "f past its bound",
+            "wrong",
+            fits(usual_subject(usual_material(shininess=1600.0)), noisy()),
         ),
     ]
 
 
-def unknowable() -> list[Situation]:
+def unidentified() -> list[Situation]:
     """Situations with parameters that no pixel identifies."""
-    faint = changed(specular=0.004)
+    faint = usual_material(specular=0.004)
     exponent = ("shininess",)
     highlight = ("specular", "shininess")
-    plate = ball(surface=pf.NormalMap(np.ones((36, 36, 1)) * [0.0, 0.0, 1.0]), size=36)
+    plate = ball_scene(
+        surface=pf.NormalMap(np.ones((36, 36, 1)) * [0.0, 0.0, 1.0]), size=36
+    )
     return [
         Situation(
             "no highlight",
             "open",
-            fits(usual(changed(specular=0.0)), noisy()),
-            free=exponent,
+            fits(usual_subject(usual_material(specular=0.0)), noisy()),
+            unidentifiable=exponent,
             wide=True,
         ),
-        Situation("a faint highlight", "doubtful", fits(usual(faint), noisy())),
+        Situation("a faint highlight", "doubtful", fits(usual_subject(faint), noisy())),
         Situation(
             "a highlight hidden by the mask",
             "doubtful",
-            fits(usual(changed(specular=0.51)), noisy(), given=beside_highlight),
+            fits(
+                usual_subject(usual_material(specular=0.51)),
+                noisy(),
+                draw_options=highlight_hidden,
+            ),
             wide=True,
         ),
         Situation(
             "a highlight that is smooth all over",
             "doubtful",
-            fits(usual(changed(specular=0.51), window()), noisy(0.05)),
+            fits(usual_subject(usual_material(specular=0.51), window()), noisy(0.05)),
             wide=True,
         ),
         Situation(
             "a flat plate",
             "open",
-            fits(usual(MATERIAL, plate), noisy()),
-            free=(*highlight, "ambient", "diffuse"),
+            fits(usual_subject(MATERIAL, plate), noisy()),
+            unidentifiable=(*highlight, "ambient", "diffuse"),
             wide=True,
         ),
         Situation(
             "all white",
             "open",
-            fits(usual(MATERIAL, ball(lamp(intensity=9.0), ambient=9.0)), overexposed),
-            free=("ambient", "diffuse", *highlight),
+            fits(
+                usual_subject(MATERIAL, ball_scene(lamp(intensity=9.0), ambient=9.0)),
+                overexposed,
+            ),
+            unidentifiable=("ambient", "diffuse", *highlight),
             wide=True,
         ),
     ]
 
 
-def beside_highlight(light: Image, rng: np.random.Generator) -> dict[str, Any]:
+def highlight_hidden(light: Image, rng: np.random.Generator) -> dict[str, Any]:
     """Options with a mask that leaves out the highlight except for its tail."""
     del light, rng
-    scene = usual().scenes[0]
+    scene = usual_subject().scenes[0]
     shiny = pf.Material(0.0, 1.0, 20.0, 0.0)
     lobe = np.asarray(pf.render(scene, shiny, film=UNCLAMPED)).max(axis=-1)
     return {"mask": lobe < 0.02}

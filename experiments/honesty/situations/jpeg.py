@@ -8,7 +8,7 @@ import imageio.v3 as iio
 import numpy as np
 
 import phongfit as pf
-from experiments.honesty.answers import Answers, Shot, fit_all
+from experiments.honesty.answers import Answers, Trial, fit_trials
 from experiments.honesty.situations.base import (
     LARGE,
     SIZE,
@@ -17,10 +17,10 @@ from experiments.honesty.situations.base import (
     Image,
     Situation,
     Subject,
-    ball,
+    ball_scene,
     lamp,
     noisy,
-    usual,
+    usual_subject,
 )
 from phongfit.files.formats import jpeg_compression
 from phongfit.files.images import from_levels, to_levels
@@ -40,24 +40,29 @@ class Decoded(NamedTuple):
 
 def situations() -> list[Situation]:
     """Each quality and subsampling, as a file and as an array of unknown origin."""
-    found = []
+    result = []
     for quality in (75, 90, 95):
         for sampling in SAMPLINGS:
             for known in (True, False):
                 # Blocks can be detected only if there are more than a few dozen of
                 # them.
-                draw = functools.partial(any_ball, size=SIZE if known else LARGE)
-                ask = jpeg_fits(draw, quality, sampling, known)
+                draw = functools.partial(random_ball, size=SIZE if known else LARGE)
+                answer = jpeg_fits(draw, quality, sampling, known)
                 origin = "its film known" if known else "of unknown origin"
                 name = f"JPEG {quality}, {sampling}, {origin}"
-                found.append(Situation(name, "doubtful", ask, wide=True))
-    coarse = jpeg_fits(functools.partial(any_ball, size=SIZE), 30, "4:2:0", True)
+                result.append(Situation(name, "doubtful", answer, wide=True))
+    coarse = jpeg_fits(functools.partial(random_ball, size=SIZE), 30, "4:2:0", True)
     name = "JPEG 30, 4:2:0, its film known"
-    words = "[coarse-jpeg]"
-    return [*found, Situation(name, "doubtful", coarse, wide=True, words=words)]
+    required_warning = "[coarse-jpeg]"
+    return [
+        *result,
+        Situation(
+            name, "doubtful", coarse, wide=True, required_warning=required_warning
+        ),
+    ]
 
 
-def any_ball(rng: np.random.Generator, size: int) -> Subject:
+def random_ball(rng: np.random.Generator, size: int) -> Subject:
     """A random ball under a random lamp.
 
     JPEG's rounding depends on both: photographs of one ball would share its error.
@@ -68,7 +73,9 @@ def any_ball(rng: np.random.Generator, size: int) -> Subject:
         shininess=np.exp(rng.uniform(np.log(8), np.log(40))),
         ambient=rng.uniform(0.2, 0.6, 3),
     )
-    return usual(material, ball(lamp((*rng.uniform(-1, 1, 2), 2)), size=size))
+    return usual_subject(
+        material, ball_scene(lamp((*rng.uniform(-1, 1, 2), 2)), size=size)
+    )
 
 
 def jpeg_fits(
@@ -76,20 +83,20 @@ def jpeg_fits(
 ) -> Callable[[Draws], Answers]:
     """A function that fits photographs read from JPEG files, one for each draw."""
 
-    def shots(draws: Draws) -> Iterator[Shot]:
+    def trials(draws: Draws) -> Iterator[Trial]:
         for rng in draws:
             subject = draw(rng)
             light = noisy(NOISE)(subject.light[0], rng)
-            read = developed(light, quality, sampling, known)
+            read = through_jpeg(light, quality, sampling, known)
             scenes = subject.scenes
-            yield Shot(
+            yield Trial(
                 scenes[0], read.image, read.options, scenes, subject.material, {}
             )
 
-    return lambda draws: fit_all(shots(draws))
+    return lambda draws: fit_trials(trials(draws))
 
 
-def developed(light: Image, quality: int, sampling: str, known: bool) -> Decoded:
+def through_jpeg(light: Image, quality: int, sampling: str, known: bool) -> Decoded:
     """Light written as an sRGB JPEG and read back.
 
     **Arguments:** `known`: whether the fit is given the file's compression.

@@ -6,71 +6,73 @@ import phongfit as pf
 from experiments.honesty.situations.base import (
     NOISE,
     Image,
+    Photograph,
     Situation,
     Subject,
-    Take,
-    ball,
-    changed,
+    ball_scene,
     fits,
     lamp,
     noisy,
-    usual,
+    usual_material,
+    usual_subject,
 )
 from phongfit.fitting.problem.losses import LOSSES
 
 
 def situations() -> list[Situation]:
     """All situations with losses."""
-    sharp = usual(changed(shininess=600.0, specular=0.5))
-    found: list[Situation] = []
+    sharp = usual_subject(usual_material(shininess=600.0, specular=0.5))
+    result: list[Situation] = []
     for loss in LOSSES:
-        for share in (0.05, 0.2):
-            name = f"{loss}, {share:.0%} garbage"
-            ask = fits(usual(), garbage(share), loss=loss)
-            found.append(Situation(name, "doubtful", ask, wide=True))
+        for fraction in (0.05, 0.2):
+            name = f"{loss}, {fraction:.0%} garbage"
+            answer = fits(usual_subject(), outliers(fraction), loss=loss)
+            result.append(Situation(name, "doubtful", answer, wide=True))
     for loss in LOSSES:
         if loss != "linear":
-            ask = fits(usual(), noisy(), loss=loss)
-            found.append(Situation(f"{loss}, clean", "right", ask))
-        ask = fits(sharp, noisy(), loss=loss)
-        found.append(Situation(f"{loss}, a narrow highlight", "right", ask))
-        ask = fits(sharp, with_lobe(), loss=loss)
-        found.append(Situation(f"{loss}, a highlight of two lobes", "wrong", ask))
+            answer = fits(usual_subject(), noisy(), loss=loss)
+            result.append(Situation(f"{loss}, clean", "right", answer))
+        answer = fits(sharp, noisy(), loss=loss)
+        result.append(Situation(f"{loss}, a narrow highlight", "right", answer))
+        answer = fits(sharp, with_second_lobe(), loss=loss)
+        result.append(Situation(f"{loss}, a highlight of two lobes", "wrong", answer))
     for loss in ("linear", "cauchy", "tukey"):
-        ask = fits(usual(), scratch, loss=loss)
+        answer = fits(usual_subject(), scratch, loss=loss)
         # Tukey's loss rejects the scratch completely, so no warning is due.
         kind = "right" if loss == "tukey" else "doubtful"
-        found.append(Situation(f"{loss}, a scratch", kind, ask, wide=True))
-        ask = fits(lit_twice(), noisy(), fitted=ball(), loss=loss)
-        found.append(Situation(f"{loss}, a second highlight", "doubtful", ask))
-    return found
+        result.append(Situation(f"{loss}, a scratch", kind, answer, wide=True))
+        answer = fits(lit_twice(), noisy(), fitted=ball_scene(), loss=loss)
+        result.append(Situation(f"{loss}, a second highlight", "doubtful", answer))
+    return result
 
 
 def lit_twice() -> Subject:
     """A ball with a second highlight, of a lamp without diffuse light."""
-    shine = pf.DirectionalLight((-1.0, -0.5, 1.5), 0.0, specular=0.6)
-    return usual(changed(shininess=60.0), ball(lamp(), shine))
+    lamp_without_diffuse = pf.DirectionalLight((-1.0, -0.5, 1.5), 0.0, specular=0.6)
+    return usual_subject(
+        usual_material(shininess=60.0), ball_scene(lamp(), lamp_without_diffuse)
+    )
 
 
-def with_lobe() -> Take:
+def with_second_lobe() -> Photograph:
     """A function that adds a fainter, wider highlight, and noise."""
-    wide = usual(pf.Material(0.0, 0.05, 15.0, 0.0))
+    wide = usual_subject(pf.Material(0.0, 0.05, 15.0, 0.0))
 
-    def take(light: Image, rng: np.random.Generator) -> Image:
+    def photograph(light: Image, rng: np.random.Generator) -> Image:
         return noisy()(light + wide.light[0], rng)
 
-    return take
+    return photograph
 
 
-def garbage(share: float) -> Take:
+def outliers(fraction: float) -> Photograph:
     """A function that adds noise and replaces some samples by random numbers."""
 
-    def take(light: Image, rng: np.random.Generator) -> Image:
+    def photograph(light: Image, rng: np.random.Generator) -> Image:
         random_values = rng.random(light.shape)
-        bad = rng.random(light.shape) < share
+        bad = rng.random(light.shape) < fraction
         return np.where(bad, random_values, noisy(NOISE)(light, rng))
 
-    return take
+    return photograph
 
 
 def scratch(light: Image, rng: np.random.Generator) -> Image:

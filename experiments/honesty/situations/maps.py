@@ -25,40 +25,40 @@ Stack = Float[np.ndarray, "lights height width 3"]
 Materials = Callable[[np.random.Generator, tuple[int, int]], pf.Material]
 
 
-Spoil = Callable[[Stack, np.random.Generator], tuple[Stack, Mapping[str, Any]]]
+Degrade = Callable[[Stack, np.random.Generator], tuple[Stack, Mapping[str, Any]]]
 """Changes photographs; returns them, and options of the map such as a mask."""
 
 
 def situations() -> list[Situation]:
     """All situations with maps."""
-    # `whole` gives a mask of all samples, so that more maps share compiled programs.
+    # Maps with a `full_mask` share compiled programs with those with other masks.
     given: Any = {"noise": NOISE}
     right: dict[str, Any] = {
         "maps": maps(),
         "maps, noise 0.05": maps(level=0.05),
-        "maps, noise given": maps(whole, **given),
+        "maps, noise given": maps(full_mask, **given),
         "maps, mosaic": maps(mosaic, **given),
         "maps, samples missing": maps(missing, **given),
         "maps, a saturated channel": maps(saturated, materials=bright_red),
         "maps, at bounds": maps(materials=at_bounds),
-        "maps, at bounds, noise given": maps(whole, materials=at_bounds, **given),
+        "maps, at bounds, noise given": maps(full_mask, materials=at_bounds, **given),
         "maps, Cauchy, clean": maps(loss="cauchy"),
-        "maps, Tukey, clean, noise given": maps(whole, loss="tukey", **given),
-        "maps, Tukey, 10% garbage": maps(garbage, loss="tukey", **given),
+        "maps, Tukey, clean, noise given": maps(full_mask, loss="tukey", **given),
+        "maps, Tukey, 10% garbage": maps(outliers, loss="tukey", **given),
         "maps, an exponent a channel": maps(per_channel=PARAMETERS),
-        "maps, seven lights": maps(whole, lights=7, **given),
+        "maps, seven lights": maps(full_mask, lights=7, **given),
     }
     wide = ("0.05", "bounds", "garbage", "seven", "channel", "missing", "mosaic")
     return [
         *(
-            Situation(name, "right", ask, wide=any(word in name for word in wide))
-            for name, ask in right.items()
+            Situation(name, "right", answer, wide=any(word in name for word in wide))
+            for name, answer in right.items()
         ),
         Situation(
             "maps, a masked channel",
             "open",
             maps(masked, **given),
-            free=("ambient.red", "diffuse.red", "specular.red"),
+            unidentifiable=("ambient.red", "diffuse.red", "specular.red"),
             wide=True,
         ),
         Situation("maps, an unknown shadow", "wrong", maps(shadowed, **given)),
@@ -66,14 +66,14 @@ def situations() -> list[Situation]:
             "maps, no highlight",
             "open",
             maps(materials=matte),
-            free=("shininess",),
+            unidentifiable=("shininess",),
             wide=True,
         ),
     ]
 
 
 def maps(
-    spoil: Spoil | None = None,
+    degrade: Degrade | None = None,
     *,
     materials: Materials | None = None,
     lights: int = LIGHTS,
@@ -82,19 +82,23 @@ def maps(
 ) -> Callable[[Draws], Answers]:
     """A function that fits a map in which every pixel has its own random material."""
 
-    def ask(draws: Draws) -> Answers:
+    def answer(draws: Draws) -> Answers:
         rng = draws[0]
         size = (len(draws), PIXELS)
         scenes, images, truth = photographs(
-            rng, size, lights, level, any_material if materials is None else materials
+            rng,
+            size,
+            lights,
+            level,
+            random_material if materials is None else materials,
         )
-        more: Mapping[str, Any] = {}
-        if spoil is not None:
-            images, more = spoil(images, rng)
-        found = pf.fit_maps(scenes, images, progress=False, **options, **more)
-        return of_maps(found, truth)
+        extra: Mapping[str, Any] = {}
+        if degrade is not None:
+            images, extra = degrade(images, rng)
+        fitted = pf.fit_maps(scenes, images, progress=False, **options, **extra)
+        return answers_of_maps(fitted, truth)
 
-    return ask
+    return answer
 
 
 def photographs(
@@ -121,7 +125,7 @@ def photographs(
     return scenes, images + noise.astype(images.dtype), truth
 
 
-def any_material(rng: np.random.Generator, size: tuple[int, int]) -> pf.Material:
+def random_material(rng: np.random.Generator, size: tuple[int, int]) -> pf.Material:
     """Random materials within the bounds; highlights reach every pixel."""
     return pf.Material(
         diffuse=rng.uniform(0.15, 0.4, (*size, 3)),
@@ -133,7 +137,7 @@ def any_material(rng: np.random.Generator, size: tuple[int, int]) -> pf.Material
 
 def at_bounds(rng: np.random.Generator, size: tuple[int, int]) -> pf.Material:
     """Random materials; a third of the reflectances ρ_d and ρ_a is 0."""
-    inside = any_material(rng, size)
+    inside = random_material(rng, size)
 
     def some(leaf: Any) -> np.ndarray:
         return np.where(rng.random((*size, 3)) < 1 / 3, 0, np.asarray(leaf))
@@ -145,7 +149,7 @@ def at_bounds(rng: np.random.Generator, size: tuple[int, int]) -> pf.Material:
 
 def bright_red(rng: np.random.Generator, size: tuple[int, int]) -> pf.Material:
     """Random materials whose red channel exceeds white under some of the lamps."""
-    usual = any_material(rng, size)
+    usual = random_material(rng, size)
     diffuse, specular = np.array(usual.diffuse), np.array(usual.specular)
     diffuse[..., 0] = rng.uniform(0.6, 0.9, size)
     specular[..., 0] = rng.uniform(0.3, 0.6, size)
@@ -156,10 +160,14 @@ def bright_red(rng: np.random.Generator, size: tuple[int, int]) -> pf.Material:
 
 def matte(rng: np.random.Generator, size: tuple[int, int]) -> pf.Material:
     """Random materials without a highlight."""
-    return dataclasses.replace(any_material(rng, size), specular=jnp.zeros((*size, 3)))
+    return dataclasses.replace(
+        random_material(rng, size), specular=jnp.zeros((*size, 3))
+    )
 
 
-def whole(images: Stack, rng: np.random.Generator) -> tuple[Stack, Mapping[str, Any]]:
+def full_mask(
+    images: Stack, rng: np.random.Generator
+) -> tuple[Stack, Mapping[str, Any]]:
     """Give a mask that is true for every sample."""
     del rng
     return images, {"mask": np.ones(images.shape[1:], bool)}
@@ -201,16 +209,20 @@ def shadowed(
     return dark, {"mask": np.ones(images.shape[1:], bool)}
 
 
-def garbage(images: Stack, rng: np.random.Generator) -> tuple[Stack, Mapping[str, Any]]:
+def outliers(
+    images: Stack, rng: np.random.Generator
+) -> tuple[Stack, Mapping[str, Any]]:
     """Replace a tenth of the samples by random numbers."""
     anything = rng.random(images.shape).astype(images.dtype)
     spoilt = np.where(rng.random(images.shape) < 0.1, anything, images)
     return spoilt, {"mask": np.ones(images.shape[1:], bool)}
 
 
-def of_maps(found: pf.Maps, truth: pf.Material) -> Answers:
+def answers_of_maps(fitted: pf.Maps, truth: pf.Material) -> Answers:
     """Answers of a map, with every pixel as a draw and every flag as a warning."""
-    columns = [column for leaf in PARAMETERS for column in _columns(found, truth, leaf)]
+    columns = [
+        column for leaf in PARAMETERS for column in _columns(fitted, truth, leaf)
+    ]
     labels, value, error, true = zip(*columns, strict=True)
     estimate, error, true = (
         np.stack(one, axis=1).astype(float) for one in (value, error, true)
@@ -218,22 +230,22 @@ def of_maps(found: pf.Maps, truth: pf.Material) -> Answers:
     edges = [(1.0, 1000.0) if "shin" in one else (0.0, 1.0) for one in labels]
     box = np.array(edges)
     reach = 1.959964
-    if found.noise_given is None:
-        freedom = int(np.median(found.samples)) - len(labels)
+    if fitted.noise_given is None:
+        freedom = int(np.median(fitted.samples)) - len(labels)
         reach = student_reach(LEVEL, freedom)
     low, high = np.clip(estimate + reach * error * [[[-1.0]], [[1.0]]], *box.T)
     near = 1e-5 * np.maximum(box, 1e-3)
     bound = (estimate <= box[:, 0] + near[:, 0]) | (estimate >= box[:, 1] - near[:, 1])
-    flags = found.flags.ravel()
-    said = {int(one): flag_words(int(one)) for one in np.unique(flags)}
-    warnings = tuple(said[int(one)] for one in flags)
+    flags = fitted.flags.ravel()
+    sentences = {int(one): flag_words(int(one)) for one in np.unique(flags)}
+    warnings = tuple(sentences[int(one)] for one in flags)
     return Answers(
         tuple(labels), true, estimate, error, low, high, bound, box, warnings
     )
 
 
-def _columns(found: pf.Maps, truth: pf.Material, leaf: str) -> list[tuple[Any, ...]]:
-    value, error = getattr(found, leaf), getattr(found.stderr, leaf)
+def _columns(fitted: pf.Maps, truth: pf.Material, leaf: str) -> list[tuple[Any, ...]]:
+    value, error = getattr(fitted, leaf), getattr(fitted.stderr, leaf)
     true = np.broadcast_to(np.asarray(getattr(truth, leaf)), value.shape)
     names = [leaf] if value.shape[-1] == 1 else [f"{leaf}.{c}" for c in CHANNELS]
     return [

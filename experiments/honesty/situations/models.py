@@ -14,13 +14,13 @@ from experiments.honesty.situations.base import (
     Image,
     Situation,
     Subject,
-    ball,
-    changed,
+    ball_scene,
+    cached_subject,
     fits,
     lamp,
     noisy,
-    usual,
-    when_asked,
+    usual_material,
+    usual_subject,
 )
 
 PARAMETERS = ("ambient", "diffuse", "specular", "shininess")
@@ -30,44 +30,46 @@ def situations() -> list[Situation]:
     """All situations with a right model."""
     spot = pf.SpotLight((2, 2, 3), (-2, -2, -3), 0.9, cutoff=40, exponent=2)
     subjects: dict[str, Subject | Draw] = {
-        "one lamp": usual(),
-        "Phong's highlight": usual(
-            changed(shininess=6.0), two(specular_model=pf.Phong())
+        "one lamp": usual_subject(),
+        "Phong's highlight": usual_subject(
+            usual_material(shininess=6.0), under_two_lamps(specular_model=pf.Phong())
         ),
-        "two lamps": usual(MATERIAL, two()),
-        "point light": usual(MATERIAL, ball(pf.PointLight((2, 2, 3), 0.6))),
-        "spot light": usual(MATERIAL, ball(spot)),
-        "fog": usual(MATERIAL, ball(fog=pf.Fog(0.4, density=0.1))),
-        "four images": usual(MATERIAL, *four_balls()),
-        "three materials on a mesh": when_asked(three_materials),
-        "flat shading": mesh(pf.FlatShading()),
-        "Gouraud shading": mesh(pf.GouraudShading()),
+        "two lamps": usual_subject(MATERIAL, under_two_lamps()),
+        "point light": usual_subject(
+            MATERIAL, ball_scene(pf.PointLight((2, 2, 3), 0.6))
+        ),
+        "spot light": usual_subject(MATERIAL, ball_scene(spot)),
+        "fog": usual_subject(MATERIAL, ball_scene(fog=pf.Fog(0.4, density=0.1))),
+        "four images": usual_subject(MATERIAL, *four_balls()),
+        "three materials on a mesh": cached_subject(three_materials),
+        "flat shading": mesh_ball(pf.FlatShading()),
+        "Gouraud shading": mesh_ball(pf.GouraudShading()),
     }
     plain = [
         Situation(name, "right", fits(subject, noisy()))
         for name, subject in subjects.items()
     ]
     grey = pf.Material(0.5, 0.3, 20.0, 0.4)
-    coloured = changed(shininess=(12.0, 20.0, 40.0))
+    coloured = usual_material(shininess=(12.0, 20.0, 40.0))
     return [
         *plain,
-        Situation("any material", "right", fits(any_material, noisy())),
-        Situation("grey", "right", fits(usual(grey), noisy(), per_channel=())),
-        Situation("one channel thrice", "right", fits(usual(grey), grey_noise)),
+        Situation("any material", "right", fits(random_material, noisy())),
+        Situation("grey", "right", fits(usual_subject(grey), noisy(), per_channel=())),
+        Situation("one channel thrice", "right", fits(usual_subject(grey), grey_noise)),
         Situation(
             "an exponent a channel",
             "right",
-            fits(usual(coloured), noisy(), per_channel=PARAMETERS),
+            fits(usual_subject(coloured), noisy(), per_channel=PARAMETERS),
         ),
     ]
 
 
-def two(**changes: Any) -> pf.Scene:
+def under_two_lamps(**changes: Any) -> pf.Scene:
     """A ball under two lamps."""
-    return ball(lamp(), lamp((-1, 0.3, 1), (0.3, 0.2, 0.1)), **changes)
+    return ball_scene(lamp(), lamp((-1, 0.3, 1), (0.3, 0.2, 0.1)), **changes)
 
 
-def any_material(rng: np.random.Generator) -> Subject:
+def random_material(rng: np.random.Generator) -> Subject:
     """A ball of a random material within the bounds, with a visible highlight."""
     material = pf.Material(
         diffuse=rng.uniform(0.1, 0.9, 3),
@@ -75,7 +77,7 @@ def any_material(rng: np.random.Generator) -> Subject:
         shininess=np.exp(rng.uniform(np.log(5), np.log(100))),
         ambient=rng.uniform(0.1, 0.9, 3),
     )
-    return usual(material)
+    return usual_subject(material)
 
 
 def grey_noise(light: Image, rng: np.random.Generator) -> Image:
@@ -85,13 +87,15 @@ def grey_noise(light: Image, rng: np.random.Generator) -> Image:
 
 def four_balls(**changes: Any) -> tuple[pf.Scene, ...]:
     """One ball, photographed once under each of four lamps."""
-    return tuple(ball(lamp(way), **changes) for way in spread_directions(4))
+    return tuple(ball_scene(lamp(way), **changes) for way in spread_directions(4))
 
 
-def mesh(shading: pf.AbstractShading) -> Draw:
+def mesh_ball(shading: pf.AbstractShading) -> Draw:
     """A ball of triangles."""
-    return when_asked(
-        lambda: usual(MATERIAL, ball(surface=unit_ball(12), shading=shading))
+    return cached_subject(
+        lambda: usual_subject(
+            MATERIAL, ball_scene(surface=unit_ball(12), shading=shading)
+        )
     )
 
 
@@ -108,4 +112,4 @@ def three_materials() -> Subject:
             pf.Material(0.4, (0.5, 0.4, 0.2), 10.0, (0.3, 0.4, 0.5)),
         ]
     )
-    return Subject((ball(surface=surface),), materials)
+    return Subject((ball_scene(surface=surface),), materials)

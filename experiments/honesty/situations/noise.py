@@ -9,15 +9,15 @@ import phongfit as pf
 from experiments.honesty.situations.base import (
     NOISE,
     Image,
+    Photograph,
     Situation,
-    Take,
-    changed,
     clamped,
     fits,
     noisy,
-    usual,
+    usual_material,
+    usual_subject,
 )
-from experiments.honesty.situations.models import any_material
+from experiments.honesty.situations.models import random_material
 from phongfit.rendering.film import decode, encode
 
 # Variance of shot noise for light of 1, and standard deviation of the read noise.
@@ -27,56 +27,72 @@ SHOT, READ = 4e-4, 0.003
 def situations() -> list[Situation]:
     """All situations with kinds of noise."""
     right: dict[str, Any] = {
-        "noise 0.0001": fits(usual(), noisy(1e-4)),
-        "noise 0.05": fits(usual(), noisy(0.05)),
-        "noise 0.01, given": fits(usual(), noisy(), noise=NOISE),
-        "noise 0.2, clamped": fits(usual(changed(shininess=8.0)), clamped(noisy(0.2))),
-        "uniform noise": fits(usual(), uniform),
-        "Laplace's noise": fits(usual(), laplace),
-        "shot noise, its map given": fits(usual(), shot_noise, given=shot_map),
-        "weights": fits(usual(), shot_noise, given=shot_weights),
-        "a hole in the mask": fits(usual(), noisy(), given=hole),
-        "mosaic": fits(usual(), noisy(), given=mosaic),
-        "8 bits": fits(usual(), film("linear", 8, 0.005)),
-        "8 bits, sRGB": fits(usual(), film("srgb", 8, 0.005)),
-        "8 bits, sRGB, noise given": fits(usual(), film("srgb", 8, 0.005), noise=0.005),
-        "8 bits, sRGB, two channels near black": fits(
-            usual(pf.preset("ruby")), film("srgb", 8, 0.01)
+        "noise 0.0001": fits(usual_subject(), noisy(1e-4)),
+        "noise 0.05": fits(usual_subject(), noisy(0.05)),
+        "noise 0.01, given": fits(usual_subject(), noisy(), noise=NOISE),
+        "noise 0.2, clamped": fits(
+            usual_subject(usual_material(shininess=8.0)), clamped(noisy(0.2))
         ),
-        "16 bits": fits(usual(), film("linear", 16, 0.002)),
-        "16 bits, sRGB": fits(usual(), film("srgb", 16, 0.002)),
+        "uniform noise": fits(usual_subject(), uniform),
+        "Laplace's noise": fits(usual_subject(), laplace),
+        "shot noise, its map given": fits(
+            usual_subject(), shot_noise, draw_options=shot_map
+        ),
+        "weights": fits(usual_subject(), shot_noise, draw_options=shot_weights),
+        "a hole in the mask": fits(usual_subject(), noisy(), draw_options=hole),
+        "mosaic": fits(usual_subject(), noisy(), draw_options=mosaic),
+        "8 bits": fits(usual_subject(), film("linear", 8, 0.005)),
+        "8 bits, sRGB": fits(usual_subject(), film("srgb", 8, 0.005)),
+        "8 bits, sRGB, noise given": fits(
+            usual_subject(), film("srgb", 8, 0.005), noise=0.005
+        ),
+        "8 bits, sRGB, two channels near black": fits(
+            usual_subject(pf.preset("ruby")), film("srgb", 8, 0.01)
+        ),
+        "16 bits": fits(usual_subject(), film("linear", 16, 0.002)),
+        "16 bits, sRGB": fits(usual_subject(), film("srgb", 16, 0.002)),
     }
     doubtful: dict[str, Any] = {
-        "noise 0.2": fits(usual(), noisy(0.2)),
-        "noise given is half": fits(usual(), noisy(), noise=NOISE / 2),
-        "noise given is twice": fits(usual(), noisy(), noise=2 * NOISE),
-        "noise of neighbours alike": fits(usual(), smoothed),
-        "shot noise, not given": fits(usual(), shot_noise),
-        "shot noise, not given, cauchy": fits(usual(), shot_noise, loss="cauchy"),
-        "dark noise in one channel": fits(usual(), red_noise),
-        "dark noise in one channel, tukey": fits(usual(), red_noise, loss="tukey"),
+        "noise 0.2": fits(usual_subject(), noisy(0.2)),
+        "noise given is half": fits(usual_subject(), noisy(), noise=NOISE / 2),
+        "noise given is twice": fits(usual_subject(), noisy(), noise=2 * NOISE),
+        "noise of neighbours alike": fits(usual_subject(), smoothed),
+        "shot noise, not given": fits(usual_subject(), shot_noise),
+        "shot noise, not given, cauchy": fits(
+            usual_subject(), shot_noise, loss="cauchy"
+        ),
+        "dark noise in one channel": fits(usual_subject(), red_noise),
+        "dark noise in one channel, tukey": fits(
+            usual_subject(), red_noise, loss="tukey"
+        ),
     }
     exact: dict[str, Any] = {
-        "no noise": fits(any_material, noisy(0.0)),
-        "noise below a level of 8 bits": fits(any_material, film("srgb", 8, 5e-4)),
-        "no noise, 8 bits, sRGB": fits(any_material, film("srgb", 8, 0.0)),
+        "no noise": fits(random_material, noisy(0.0)),
+        "noise below a level of 8 bits": fits(random_material, film("srgb", 8, 5e-4)),
+        "no noise, 8 bits, sRGB": fits(random_material, film("srgb", 8, 0.0)),
     }
     return [
-        *(Situation(name, "right", ask) for name, ask in right.items()),
-        *(Situation(n, "doubtful", ask, wide=True) for n, ask in doubtful.items()),
-        *(Situation(name, "right", ask, wide=True) for name, ask in exact.items()),
+        *(Situation(name, "right", answer) for name, answer in right.items()),
+        *(
+            Situation(n, "doubtful", answer, wide=True)
+            for n, answer in doubtful.items()
+        ),
+        *(
+            Situation(name, "right", answer, wide=True)
+            for name, answer in exact.items()
+        ),
     ]
 
 
-def film(encoding: Any, bits: int, level: float) -> Take:
+def film(encoding: Any, bits: int, level: float) -> Photograph:
     """A function that adds noise, and rounds the encoded light to `bits` bits."""
     top = 2**bits - 1
 
-    def take(light: Image, rng: np.random.Generator) -> Image:
+    def photograph(light: Image, rng: np.random.Generator) -> Image:
         shown = np.clip(noisy(level)(light, rng), 0, 1)
         return decode(np.round(encode(shown, encoding) * top) / top, encoding)
 
-    return take
+    return photograph
 
 
 def uniform(light: Image, rng: np.random.Generator) -> Image:

@@ -15,19 +15,19 @@ from experiments.honesty.situations.base import (
     Image,
     Situation,
     Subject,
-    ball,
-    changed,
+    ball_scene,
     clamped,
     fits,
     lamp,
     noisy,
-    usual,
+    usual_material,
+    usual_subject,
 )
 from experiments.honesty.situations.models import four_balls
 from phongfit.rendering.film import Encoding, decode, encode
 
-# Warnings that must come, not just any.
-NAMED = {
+# Part of the warning that is required, where any warning would not do.
+REQUIRED_WARNINGS = {
     "sRGB read as linear": "Read it with encoding=srgb",
     "linear read as sRGB": "Read it with encoding=linear",
     "12 bits in 16": "[low-white]",
@@ -36,50 +36,62 @@ NAMED = {
 
 def situations() -> list[Situation]:
     """All situations with a wrong model."""
-    asked: dict[str, Callable[[Draws], Answers]] = {
-        "f held at 66 for 60": held(ball(size=LARGE)),
-        "the same, four images": held(*four_balls(size=LARGE)),
+    cases: dict[str, Callable[[Draws], Answers]] = {
+        "f held at 66 for 60": wrong_exponent(ball_scene(size=LARGE)),
+        "the same, four images": wrong_exponent(*four_balls(size=LARGE)),
         "a lamp of 4% left out": lamp_left_out(0.04, LARGE, 0.03),
         "a lamp of 25% left out": lamp_left_out(0.25, 48, 0.01),
         "sRGB read as linear": read_as("srgb", "linear"),
         "linear read as sRGB": read_as("linear", "srgb"),
-        "12 bits in 16": fits(usual(MATERIAL, bright()), twelve_bits),
-        "gamma 2.2 read as sRGB": fits(usual(), gamma),
-        "Phong for Blinn": fits(apart(), noisy(), fitted=apart(pf.Phong()).scenes),
-        "lamp 2° off": fits(usual(), noisy(), fitted=ball(lamp(turned(2.0)))),
-        "light from the ground": fits(usual(), ground),
-        "vignetting": fits(usual(), vignetting),
-        "out of focus": fits(usual(), blurred),
-        "half a pixel off": fits(usual(MATERIAL, shifted()), noisy(), fitted=ball()),
-        "a shadow left out": fits(usual(), shadowed),
-        "ripples": fits(usual(), rippled),
-        "a black level left in": fits(usual(), clamped(black_level)),
+        "12 bits in 16": fits(usual_subject(MATERIAL, bright()), twelve_bits),
+        "gamma 2.2 read as sRGB": fits(usual_subject(), gamma),
+        "Phong for Blinn": fits(
+            lamps_far_apart(), noisy(), fitted=lamps_far_apart(pf.Phong()).scenes
+        ),
+        "lamp 2° off": fits(
+            usual_subject(), noisy(), fitted=ball_scene(lamp(turned_lamp(2.0)))
+        ),
+        "light from the ground": fits(usual_subject(), ground),
+        "vignetting": fits(usual_subject(), vignetting),
+        "out of focus": fits(usual_subject(), blurred),
+        "half a pixel off": fits(
+            usual_subject(MATERIAL, shifted()), noisy(), fitted=ball_scene()
+        ),
+        "a shadow left out": fits(usual_subject(), shadowed),
+        "ripples": fits(usual_subject(), rippled),
+        "a black level left in": fits(usual_subject(), clamped(black_level)),
     }
     return [
-        Situation(name, "wrong", ask, words=NAMED.get(name, ""))
-        for name, ask in asked.items()
+        Situation(
+            name, "wrong", answer, required_warning=REQUIRED_WARNINGS.get(name, "")
+        )
+        for name, answer in cases.items()
     ]
 
 
-def held(*scenes: pf.Scene) -> Callable[[Draws], Answers]:
+def wrong_exponent(*scenes: pf.Scene) -> Callable[[Draws], Answers]:
     """Fits that hold the exponent at 66 while the true one is 60."""
-    subject = usual(changed(shininess=60.0), *scenes)
+    subject = usual_subject(usual_material(shininess=60.0), *scenes)
     return fits(subject, noisy(), fixed={"shininess": 66.0})
 
 
-def lamp_left_out(share: float, size: int, noise: float) -> Callable[[Draws], Answers]:
+def lamp_left_out(
+    fraction: float, size: int, noise: float
+) -> Callable[[Draws], Answers]:
     """Fits of a scene that lacks the weaker one of two lamps."""
-    both = ball(lamp(), lamp((-1, -0.4, 1), 0.6 * share), size=size)
-    return fits(usual(MATERIAL, both), noisy(noise), fitted=ball(size=size))
+    both = ball_scene(lamp(), lamp((-1, -0.4, 1), 0.6 * fraction), size=size)
+    return fits(
+        usual_subject(MATERIAL, both), noisy(noise), fitted=ball_scene(size=size)
+    )
 
 
-def apart(specular: pf.AbstractSpecular | None = None) -> Subject:
+def lamps_far_apart(specular: pf.AbstractSpecular | None = None) -> Subject:
     """A ball under two lamps far apart: the models' highlights turn differently."""
     lamps = lamp(), lamp((-1.0, -0.4, -0.2))
-    return usual(MATERIAL, ball(*lamps, specular_model=specular))
+    return usual_subject(MATERIAL, ball_scene(*lamps, specular_model=specular))
 
 
-def turned(degrees: float) -> tuple[float, float, float]:
+def turned_lamp(degrees: float) -> tuple[float, float, float]:
     """The lamp's direction, moved by this arc on its circle about the viewer's axis."""
     # On a smaller circle an arc takes a larger angle.
     angle = np.deg2rad(degrees) / np.sin(np.arccos(LAMP[2] / np.linalg.norm(LAMP)))
@@ -91,15 +103,15 @@ def turned(degrees: float) -> tuple[float, float, float]:
 def read_as(written: Encoding, read: Encoding) -> Callable[[Draws], Answers]:
     """A function that stores noisy light in one encoding, and reads it in another."""
 
-    def take(light: Image, rng: np.random.Generator) -> Image:
+    def photograph(light: Image, rng: np.random.Generator) -> Image:
         return decode(encode(clamped(noisy())(light, rng), written), read)
 
-    return fits(usual(), take, film=pf.Film(encoding=read))
+    return fits(usual_subject(), photograph, film=pf.Film(encoding=read))
 
 
 def bright() -> pf.Scene:
     """The ball with a highlight past white."""
-    return ball(lamp(intensity=1.2))
+    return ball_scene(lamp(intensity=1.2))
 
 
 def twelve_bits(light: Image, rng: np.random.Generator) -> Image:
@@ -112,7 +124,7 @@ def gamma(light: Image, rng: np.random.Generator) -> Image:
     return decode(clamped(noisy(0.0015))(light, rng) ** (1 / 2.2), "srgb")
 
 
-def places(light: Image) -> tuple[np.ndarray, np.ndarray]:
+def pixel_coordinates(light: Image) -> tuple[np.ndarray, np.ndarray]:
     """x to the right and y up, from −1 to 1, of shape (H, W, 1)."""
     steps = [(np.arange(n) + 0.5) / n * 2 - 1 for n in light.shape[:2]]
     y, x = np.meshgrid(-steps[0], steps[1], indexing="ij")
@@ -121,14 +133,14 @@ def places(light: Image) -> tuple[np.ndarray, np.ndarray]:
 
 def ground(light: Image, rng: np.random.Generator) -> Image:
     """Add light that a table reflects from below, and noise."""
-    _, y = places(light)
+    _, y = pixel_coordinates(light)
     seen = light.any(axis=-1, keepdims=True)
     return noisy()(light + np.where(seen, 0.03 * (1 - y) / 2, 0), rng)
 
 
 def vignetting(light: Image, rng: np.random.Generator) -> Image:
     """Darken the image towards its corners, by 5 % at the ball's rim; add noise."""
-    x, y = places(light)
+    x, y = pixel_coordinates(light)
     return noisy()(light * (1 - 0.06 * (x**2 + y**2)), rng)
 
 
@@ -140,19 +152,19 @@ def blurred(light: Image, rng: np.random.Generator) -> Image:
 def shifted() -> pf.Scene:
     """The scene with the ball half a pixel to the right."""
     half = 0.5 * 2.2 / 48
-    return ball(surface=pf.Sphere(center=(half, 0.0, 0.0)))
+    return ball_scene(surface=pf.Sphere(center=(half, 0.0, 0.0)))
 
 
 def shadowed(light: Image, rng: np.random.Generator) -> Image:
     """Darken a disc, as an object in the lamp's way does; add noise."""
-    x, y = places(light)
+    x, y = pixel_coordinates(light)
     disc = (x + 0.2) ** 2 + (y - 0.1) ** 2 < 0.15**2
     return noisy()(np.where(disc, 0.6 * light, light), rng)
 
 
 def rippled(light: Image, rng: np.random.Generator) -> Image:
     """Modulate the light by stripes of 2 %, and add noise."""
-    x, _ = places(light)
+    x, _ = pixel_coordinates(light)
     return noisy()(light * (1 + 0.02 * np.sin(9 * x)), rng)
 
 

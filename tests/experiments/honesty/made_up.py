@@ -27,6 +27,6 @@ def with_errors(truth: np.ndarray, estimate: np.ndarray, error: np.ndarray) -> A
         low=np.clip(estimate - 1.96 * error, 0, 1),
         high=np.clip(estimate + 1.96 * error, 0, 1),
         at_bound=np.zeros(truth.shape, bool),
-        box=np.array([[0.0, 1.0]] * len(LABELS)),
+        bounds=np.array([[0.0, 1.0]] * len(LABELS)),
         warnings=((),) * len(truth),
     )

@@ -8,13 +8,13 @@ import pytest
 from experiments.honesty import __main__ as campaign_command
 from experiments.honesty.__main__ import main, select
 from experiments.honesty.campaign import (
-    Elsewhere,
+    OtherPrecision,
     Row,
-    alarms_of,
-    examine,
+    count_false_alarms,
     own_bits,
     pooled_faults,
-    row_from,
+    row_from_json,
+    run_situation,
 )
 from experiments.honesty.judge import judge
 from experiments.honesty.situations import all_situations
@@ -45,12 +45,12 @@ def test_a_small_campaign(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert status == 0, printed
     assert f"float{bits}: 6 situations" in printed and "lamp 2° off" in printed
-    found = json.loads(numbers.read_text())
-    verdicts = {one["name"]: one["verdict"] for one in found["rows"]}
+    rows = json.loads(numbers.read_text())["rows"]
+    verdicts = {one["name"]: one["verdict"] for one in rows}
     assert verdicts.keys() == set(FEW)
-    assert verdicts["one lamp"]["doubted"] == 0 == verdicts["one lamp"]["silent"]
-    assert verdicts["lamp 2° off"]["doubted"] == 1
-    assert verdicts["no highlight"]["silent"] >= 0.1
+    assert verdicts["one lamp"]["warned"] == 0 == verdicts["one lamp"]["infinite"]
+    assert verdicts["lamp 2° off"]["warned"] == 1
+    assert verdicts["no highlight"]["infinite"] >= 0.1
 
 
 def test_a_broken_promise_is_told(monkeypatch, capsys):
@@ -63,9 +63,9 @@ def test_a_broken_promise_is_told(monkeypatch, capsys):
 
 @pytest.mark.extended
 def test_draws_are_the_same_each_time(situations):
-    one, other = (examine(situations["one lamp"], 3, 1) for _ in range(2))
+    one, other = (run_situation(situations["one lamp"], 3, 1) for _ in range(2))
     assert one.verdict == other.verdict
-    assert examine(situations["one lamp"], 3, 2).verdict != one.verdict
+    assert run_situation(situations["one lamp"], 3, 2).verdict != one.verdict
 
 
 def test_situations(situations):
@@ -76,7 +76,7 @@ def test_situations(situations):
         "doubtful",
         "wrong",
     }
-    assert all(one.free for one in situations.values() if one.kind == "open")
+    assert all(one.unidentifiable for one in situations.values() if one.kind == "open")
 
 
 def test_select(situations):
@@ -96,31 +96,33 @@ def test_draws_below_one():
 
 
 def test_a_share_of_the_draws():
-    seen = []
+    draws_seen = []
 
-    def ask(draws):
-        seen.append(len(draws))
+    def answer(draws):
+        draws_seen.append(len(draws))
         return made_up(len(draws))
 
-    for draws, share in ((100, 0.5), (3, 0.1), (1, 0.1)):
-        examine(Situation("a", "right", ask, share=share), draws, 0)
-    assert seen == [50, 2, 1]
+    for draws, draw_fraction in ((100, 0.5), (3, 0.1), (1, 0.1)):
+        run_situation(
+            Situation("a", "right", answer, draw_fraction=draw_fraction), draws, 0
+        )
+    assert draws_seen == [50, 2, 1]
 
 
 def test_rows_as_json():
-    one = row(coverage=np.nan, words={"residuals": 3}, faults=("a", "b"))
-    again = row_from(json.loads(json.dumps(plain(dataclasses.asdict(one)))))
+    one = row(coverage=np.nan, codes={"residuals": 3}, faults=("a", "b"))
+    again = row_from_json(json.loads(json.dumps(plain(dataclasses.asdict(one)))))
     assert str(again) == str(one)
 
 
 def test_false_alarms_of_all_together():
-    fine = [row(f"{k}", doubted=0.01) for k in range(10)]
-    loud = [row(f"{k}", "open", doubted=0.05) for k in range(10)]
-    wrong = [row("a", "wrong", doubted=1.0), row("maps, a", doubted=1.0)]
-    assert alarms_of([*fine, *wrong], 32) == (10, 1000)
-    assert pooled_faults([*fine, *wrong]) == ()
+    passed = [row(f"{k}", warned=0.01) for k in range(10)]
+    loud = [row(f"{k}", "open", warned=0.05) for k in range(10)]
+    wrong = [row("a", "wrong", warned=1.0), row("maps, a", warned=1.0)]
+    assert count_false_alarms([*passed, *wrong], 32) == (10, 1000)
+    assert pooled_faults([*passed, *wrong]) == ()
     assert "50 false alarms in 1000 draws" in pooled_faults([*loud, *wrong])[0]
-    assert alarms_of(fine, 64) == (0, 0)
+    assert count_false_alarms(passed, 64) == (0, 0)
 
 
 def test_what_is_shown():
@@ -135,7 +137,7 @@ def test_what_is_shown():
 @pytest.mark.extended
 def test_a_process_that_fails():
     other = 32 if own_bits() == 64 else 64
-    with Elsewhere(other, ("moon",), 1, 0) as elsewhere:
+    with OtherPrecision(other, ("moon",), 1, 0) as elsewhere:
         with pytest.raises(RuntimeError, match="no situation's name holds 'moon'"):
             elsewhere.rows()
 

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from experiments.honesty.chance import limits, share, too_many
-from experiments.honesty.judge import PROMISED
+from experiments.honesty.chance import coverage_limits, fraction, too_many
+from experiments.honesty.judge import COVERAGE
 
 
 @pytest.mark.parametrize("draws, parameters", [(6, 10), (20, 10), (100, 1), (100, 10)])
@@ -11,8 +11,8 @@ def test_right_ones_are_not_red(draws, parameters):
     counted = np.ones((draws, parameters), bool)
     for _ in range(500):
         inside = rng.random(counted.shape) < 0.95
-        low, high = limits(inside, counted, PROMISED)
-        assert low <= share(inside) <= high
+        low, high = coverage_limits(inside, counted, COVERAGE)
+        assert low <= fraction(inside) <= high
 
 
 def test_parameters_that_go_astray_together_count_less():
@@ -21,17 +21,19 @@ def test_parameters_that_go_astray_together_count_less():
     alone = rng.random((100, 1)) < 0.95
     together = np.repeat(alone, 16, axis=1)
     counted = np.ones(together.shape, bool)
-    one = limits(alone, counted[:, :1], PROMISED)[0]
-    assert limits(together, counted, PROMISED)[0] == pytest.approx(one, abs=0.02)
+    one = coverage_limits(alone, counted[:, :1], COVERAGE)[0]
+    assert coverage_limits(together, counted, COVERAGE)[0] == pytest.approx(
+        one, abs=0.02
+    )
     apart = rng.random(together.shape) < 0.95
-    assert limits(apart, counted, PROMISED)[0] > one + 0.04
+    assert coverage_limits(apart, counted, COVERAGE)[0] > one + 0.04
 
 
 def test_many_draws_are_held_to_the_promise():
     inside = np.random.default_rng(2).random((4000, 10)) < 0.95
     counted = np.ones(inside.shape, bool)
-    assert limits(inside, counted, PROMISED) == pytest.approx(PROMISED)
-    assert limits(inside, ~counted, PROMISED) == (0, 1)
+    assert coverage_limits(inside, counted, COVERAGE) == pytest.approx(COVERAGE)
+    assert coverage_limits(inside, ~counted, COVERAGE) == (0, 1)
 
 
 def test_too_many():
@@ -41,5 +43,5 @@ def test_too_many():
 
 
 def test_a_share_of_nothing():
-    assert np.isnan(share(np.ones(3, bool), np.zeros(3, bool)))
-    assert share(np.array([True, False])) == 0.5
+    assert np.isnan(fraction(np.ones(3, bool), np.zeros(3, bool)))
+    assert fraction(np.array([True, False])) == 0.5

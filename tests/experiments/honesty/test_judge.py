@@ -13,9 +13,11 @@ BOUND = coded("at-bound", "diffuse.red lies at its bound: its error is one-sided
 
 
 def warned(answers, draws, words=LACK):
-    """The same, with a warning in the first draws."""
-    said = tuple((words,) if k < draws else () for k in range(len(answers.warnings)))
-    return dataclasses.replace(answers, warnings=said)
+    """Answers with a warning in the first draws."""
+    sentences = tuple(
+        (words,) if k < draws else () for k in range(len(answers.warnings))
+    )
+    return dataclasses.replace(answers, warnings=sentences)
 
 
 def off(answers, draws, by):
@@ -30,7 +32,7 @@ def off(answers, draws, by):
 def test_right_answers(kind, seed):
     verdict = judge(made_up(seed=seed), kind)
     assert verdict.faults == ()
-    assert 0.92 < verdict.coverage < 0.98 and verdict.misled == verdict.doubted == 0
+    assert 0.92 < verdict.coverage < 0.98 and verdict.misled == verdict.warned == 0
     assert verdict.pulls == pytest.approx(1, abs=0.15)
     assert verdict.notes == (("harmless",) if kind == "wrong" else ())
 
@@ -74,7 +76,7 @@ def test_a_confident_wrong_answer(kind):
 def test_a_wrong_answer_with_a_warning(words):
     verdict = judge(warned(off(made_up(), 100, 30), 100, words), "wrong")
     assert verdict.faults == () and verdict.notes == ()
-    assert verdict.far == verdict.doubted == 1 and verdict.misled == 0
+    assert verdict.far == verdict.warned == 1 and verdict.misled == 0
     # One in a hundred may come without.
     assert judge(warned(off(made_up(), 100, 30), 99), "wrong").faults == ()
     assert judge(warned(off(made_up(), 100, 30), 98), "wrong").faults
@@ -91,16 +93,16 @@ def test_a_false_alarm():
         assert judge(warned(made_up(), 5), kind).faults == ()
         assert "false alarms" in judge(warned(made_up(), 20), kind).faults[0]
     assert judge(warned(made_up(), 20), "doubtful").faults == ()
-    assert judge(warned(made_up(), 20), "wrong").words == {"lack-of-fit": 20}
+    assert judge(warned(made_up(), 20), "wrong").codes == {"lack-of-fit": 20}
 
 
 def test_what_is_not_identified():
     answers = made_up()
     error = np.where(np.arange(4) == 3, np.inf, answers.error)
     unknown = with_errors(answers.truth, answers.estimate, error)
-    verdict = judge(unknown, "open", free=("shininess",))
-    assert verdict.faults == () and verdict.silent == 0.25
-    claimed = judge(answers, "open", free=("shininess", "diffuse.green"))
+    verdict = judge(unknown, "open", unidentifiable=("shininess",))
+    assert verdict.faults == () and verdict.infinite == 0.25
+    claimed = judge(answers, "open", unidentifiable=("shininess", "diffuse.green"))
     assert [one.split()[0] for one in claimed.faults] == ["shininess", "diffuse.green"]
     # And a right model that is said to be unknowable answers nothing.
     assert "not to be identifiable" in judge(unknown, "right").faults[0]
@@ -116,7 +118,7 @@ def test_estimates_on_their_bound():
     found = dataclasses.replace(found, at_bound=at_bound)
     verdict = judge(found, "right")
     assert verdict.faults == () and verdict.at_bound == 1
-    assert 0.85 < verdict.beside < 1
+    assert 0.85 < verdict.beside_bound < 1
     # Beside a bound that binds others are off.
     shifted = estimate + 0.03 * (at_bound[:, :1] & ~at_bound)
     wrong = dataclasses.replace(
@@ -140,7 +142,7 @@ def test_a_bound_that_keeps_from_the_truth():
 def test_a_warning_that_nobody_knows():
     verdict = judge(warned(made_up(), 100, "the moon is full (7)"), "doubtful")
     assert verdict.faults == ("a warning of unknown kind: the moon is full (#)",)
-    assert verdict.doubted == 0
+    assert verdict.warned == 0
 
 
 def test_numbers_that_are_none():
@@ -162,7 +164,10 @@ def test_all_refused():
 
 def test_a_warning_that_must_come():
     answers = warned(made_up(), 80)
-    assert judge(answers, "doubtful", words="[lack-of-fit]").faults == (
+    assert judge(answers, "doubtful", required_warning="[lack-of-fit]").faults == (
         "20 draws come without '[lack-of-fit]' in a warning",
     )
-    assert judge(warned(made_up(), 99), "doubtful", words="not noise").faults == ()
+    assert (
+        judge(warned(made_up(), 99), "doubtful", required_warning="not noise").faults
+        == ()
+    )

@@ -4,33 +4,33 @@ from pathlib import Path
 import pytest
 
 import phongfit as pf
-from experiments.honesty.words import SUBJECTS, Subject, is_doubtful, subject_of
+from experiments.honesty.words import SUBJECTS, WarningSubject, is_doubtful, subject_of
 from phongfit.codes import REMEDIES, coded
 
 SENTENCES = {
-    coded("not-converged", "the solver did not converge"): Subject.FIT,
-    coded("lack-of-fit", "residuals are not noise"): Subject.FIT,
-    coded("rejected-highlight", "specular.red is not identifiable"): Subject.FIT,
-    coded("two-solutions", "another solution fits as well"): Subject.FIT,
-    coded("bound-decides", "shininess lies at its upper bound"): Subject.FIT,
-    coded("at-bound", "ambient.red lies at its lower bound"): Subject.BOUND,
-    coded("not-identifiable", "ambient.red is not identifiable"): Subject.OPEN,
-    coded("no-highlight", "shininess is not identifiable"): Subject.OPEN,
-    "flag: at bound": Subject.BOUND,
-    "flag: no highlight": Subject.OPEN,
-    "flag: not converged": Subject.FIT,
-    "refused: ties: diffuse.green is held at -0.3": Subject.REFUSED,
+    coded("not-converged", "the solver did not converge"): WarningSubject.FIT,
+    coded("lack-of-fit", "residuals are not noise"): WarningSubject.FIT,
+    coded("rejected-highlight", "specular.red is not identifiable"): WarningSubject.FIT,
+    coded("two-solutions", "another solution fits as well"): WarningSubject.FIT,
+    coded("bound-decides", "shininess lies at its upper bound"): WarningSubject.FIT,
+    coded("at-bound", "ambient.red lies at its lower bound"): WarningSubject.BOUND,
+    coded("not-identifiable", "ambient.red is not identifiable"): WarningSubject.OPEN,
+    coded("no-highlight", "shininess is not identifiable"): WarningSubject.OPEN,
+    "flag: at bound": WarningSubject.BOUND,
+    "flag: no highlight": WarningSubject.OPEN,
+    "flag: not converged": WarningSubject.FIT,
+    "refused: ties: diffuse.green is held at -0.3": WarningSubject.REFUSED,
     # Words alone say nothing, nor does a code of something else.
-    "the solver did not converge": Subject.UNKNOWN,
-    coded("exif-broken", "a.jpg: its EXIF data is broken"): Subject.UNKNOWN,
-    "the moon is full [full-moon]": Subject.UNKNOWN,
+    "the solver did not converge": WarningSubject.UNKNOWN,
+    coded("exif-broken", "a.jpg: its EXIF data is broken"): WarningSubject.UNKNOWN,
+    "the moon is full [full-moon]": WarningSubject.UNKNOWN,
 }
 
 
 @pytest.mark.parametrize("sentence", SENTENCES)
 def test_subjects(sentence):
     assert subject_of(sentence) is SENTENCES[sentence]
-    doubts = (Subject.FIT, Subject.REFUSED)
+    doubts = (WarningSubject.FIT, WarningSubject.REFUSED)
     assert is_doubtful(sentence) == (SENTENCES[sentence] in doubts)
 
 
