@@ -9,8 +9,8 @@ import jax
 import numpy as np
 import tyro
 
-from data_synth.dataset import deal, make_dataset
-from data_synth.lights import LightKind, exposure, make_lights
+from data_synth.dataset import distribute_lights, make_dataset
+from data_synth.lights import LightKind, brightest_intensity, make_lights
 from data_synth.writing import write_dataset
 from phongfit import (
     AbstractCamera,
@@ -143,8 +143,8 @@ def make(options: Options) -> Dataset:
     if options.intensity:
         intensity = _number("intensity", options.intensity)
     else:
-        scenes = deal(scene, _lights(options, 1.0), options.images)
-        intensity = exposure(scenes, material)
+        scenes = distribute_lights(scene, _lights(options, 1.0), options.images)
+        intensity = brightest_intensity(scenes, material)
     return make_dataset(
         material,
         key=jax.random.key(options.seed),

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from data_synth.lights import exposure, make_lights
+from data_synth.lights import brightest_intensity, make_lights
 from phongfit import (
     AbstractCamera,
     AbstractLight,
@@ -72,15 +72,17 @@ def make_dataset(
     surface = Sphere() if surface is None else surface
     camera = OrthographicCamera() if camera is None else camera
 
-    whole = Scene(surface, camera, (), ambient, specular_model=specular_model)
+    unlit = Scene(surface, camera, (), ambient, specular_model=specular_model)
     if lights is None:
-        lit = deal(whole, make_lights(), images)
-        lights = make_lights(intensity=exposure(lit, material))
-    scenes = deal(whole, tuple(lights), images)
+        lit = distribute_lights(unlit, make_lights(), images)
+        lights = make_lights(intensity=brightest_intensity(lit, material))
+    scenes = distribute_lights(unlit, tuple(lights), images)
     gbuffer = trace(surface, camera)
     photographs = tuple(
-        _photograph(scene, material, gbuffer, film, noise, jax.random.fold_in(key, at))
-        for at, scene in enumerate(scenes)
+        _photograph(
+            scene, material, gbuffer, film, noise, jax.random.fold_in(key, index)
+        )
+        for index, scene in enumerate(scenes)
     )
     suffix = ".tif" if bits is None else ".png"
     return Dataset(
@@ -88,13 +90,13 @@ def make_dataset(
         scenes=scenes,
         images=photographs,
         masks=(np.ones((camera.height, camera.width), bool),) * len(scenes),
-        names=tuple(f"{at + 1:03d}{suffix}" for at in range(len(scenes))),
+        names=tuple(f"{index + 1:03d}{suffix}" for index in range(len(scenes))),
         film=film,
         truth=material,
     )
 
 
-def deal(
+def distribute_lights(
     scene: Scene, lights: tuple[AbstractLight, ...], images: int | None
 ) -> tuple[Scene, ...]:
     """A copy of `scene` for each image, and every n-th light in each of n images.
@@ -107,7 +109,8 @@ def deal(
             f"images: expected 1 … {len(lights)}, got {count} (each needs a light)"
         )
     return tuple(
-        dataclasses.replace(scene, lights=lights[at::count]) for at in range(count)
+        dataclasses.replace(scene, lights=lights[index::count])
+        for index in range(count)
     )
 
 

@@ -69,8 +69,10 @@ def make_lights(
     makers = {"directional": _directional, "point": _point, "spot": _spot}
     turns = tuple(makers) if kind == "mixed" else (kind,)
     return tuple(
-        makers[turns[at % len(turns)]](direction, intensity, np.asarray(center), radius)
-        for at, direction in enumerate(spread_directions(count).round(4))
+        makers[turns[index % len(turns)]](
+            direction, intensity, np.asarray(center), radius
+        )
+        for index, direction in enumerate(spread_directions(count).round(4))
     )
 
 
@@ -84,30 +86,30 @@ def _directional(
 def _point(
     direction: np.ndarray, intensity: Any, center: np.ndarray, radius: float
 ) -> AbstractLight:
-    far = DISTANCE * radius
+    distance = DISTANCE * radius
     # The inverse-square law, with 1 at the object's centre.
     return PointLight(
-        center + far * direction, intensity, attenuation=(0, 0, far**-2.0)
+        center + distance * direction, intensity, attenuation=(0, 0, distance**-2.0)
     )
 
 
 def _spot(
     direction: np.ndarray, intensity: Any, center: np.ndarray, radius: float
 ) -> AbstractLight:
-    far = DISTANCE * radius
+    distance = DISTANCE * radius
     # The cone is wider than the object (14.5°): a pixel on a hard edge would depend on
     # the last digit. The exponent halves the light towards the object's rim.
     return SpotLight(
-        center + far * direction,
+        center + distance * direction,
         -direction,
         intensity,
         cutoff=20.0,
         exponent=20.0,
-        attenuation=(0, 0, far**-2.0),
+        attenuation=(0, 0, distance**-2.0),
     )
 
 
-def exposure(scenes: tuple[Scene, ...], material: Material) -> float:
+def brightest_intensity(scenes: tuple[Scene, ...], material: Material) -> float:
     """Factor on all lights that makes the brightest sample `PEAK`.
 
     **Raises:** `ValueError` if ambient light and emission alone are brighter.

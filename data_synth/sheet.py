@@ -41,8 +41,8 @@ def contact_sheet(
         size = min(size, 72 * width * 0.96 / (0.53 * len(text)))
         figure.text(0.5, 1 - down / height, text, color=color, size=size, ha="center")
     left = (width - columns * cell) / 2
-    for at in range(count):
-        row, column = divmod(at, columns)
+    for index in range(count):
+        row, column = divmod(index, columns)
         # Inches from the left and the top, and then what the figure wants.
         x = left + column * cell + 0.08
         y = HEAD + row * (cell + GAP)
@@ -50,7 +50,7 @@ def contact_sheet(
         axes = figure.add_axes(
             (x / width, 1 - (y + side) / height, side / width, side / height)
         )
-        _show(axes, dataset, at)
+        _show(axes, dataset, index)
     return figure
 
 
@@ -61,14 +61,14 @@ def _columns(count: int) -> int:
     return min(choices, key=lambda n: (-count % n, abs(n**2 / count - 1.6)))
 
 
-def _show(axes: Axes, dataset: Dataset, at: int) -> None:
-    axes.imshow(_screen(dataset.images[at]))
+def _show(axes: Axes, dataset: Dataset, index: int) -> None:
+    axes.imshow(_screen(dataset.images[index]))
     axes.set_xticks([])
     axes.set_yticks([])
     for spine in axes.spines.values():
         spine.set_color("#4a4b50")
-    lights = caption(dataset.scenes[at].lights)
-    name = Path(dataset.names[at]).stem
+    lights = caption(dataset.scenes[index].lights)
+    name = Path(dataset.names[index]).stem
     axes.set_xlabel(f"{name}   {lights}", color=INK, size=7.5, labelpad=5)
 
 

@@ -93,7 +93,7 @@ def _all_lights(scenes: Sequence[Scene]) -> list[AbstractLight]:
 
 
 def _index(lights: Sequence[AbstractLight], light: AbstractLight) -> int:
-    return next(at for at, known in enumerate(lights) if known is light)
+    return next(index for index, known in enumerate(lights) if known is light)
 
 
 def _whole_scene(scenes: Sequence[Scene]) -> Scene:

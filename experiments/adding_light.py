@@ -148,8 +148,8 @@ def find(small: bool) -> Finding:
         f"and, at four times, to {result.hue[3]:.0f}° (yellow is 60°)."
     )
     rows = tuple(
-        (f"{intensity:g}", f"{100 * share:.1f} %", f"{hue:.0f}°")
-        for intensity, share, hue in zip(
+        (f"{intensity:g}", f"{100 * fraction:.1f} %", f"{hue:.0f}°")
+        for intensity, fraction, hue in zip(
             INTENSITIES, result.clipped, result.hue, strict=True
         )
     )
@@ -162,7 +162,7 @@ def find(small: bool) -> Finding:
         "orange ball under an ever brighter lamp, which turns yellow and then white; "
         "light along a row of it, cut off at white channel by channel.",
         Table(("lamp's intensity", "clamped samples", "hue of the matte spot"), rows),
-        wrong=() if added else ("pictures of single lamps do not add up",),
+        failed_checks=() if added else ("pictures of single lamps do not add up",),
     )
 
 

@@ -27,7 +27,7 @@ from experiments import (
     wrong_model,
 )
 from experiments.finding import Experiment, Finding, save_animation
-from experiments.output import complain
+from experiments.output import print_warnings
 from phongfit.cli import run
 from phongfit.files.outputs import replacing_folder, write_json
 
@@ -115,10 +115,10 @@ def main(
             save(folder, entry)
             entries.append(entry)
             console.print(f"{experiment.name}: {entry.seconds:.0f} s", highlight=False)
-            complain(console, finding.wrong)
+            print_warnings(console, finding.failed_checks)
         (folder / PAGE).write_text(contents(entries, small), encoding="utf-8")
     print(f"{len(entries)} experiments: {out / PAGE}")
-    return 1 if any(entry.finding.wrong for entry in entries) else 0
+    return 1 if any(entry.finding.failed_checks for entry in entries) else 0
 
 
 if __name__ == "__main__":

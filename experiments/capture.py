@@ -91,8 +91,8 @@ def main(pictures: Path = Path("out/capture")) -> int:
     figure = comparison(rows, ("photograph", "fit"), brighten=1.5, blocks=len(rows))
     save_picture(pictures / "photograph_and_fit.jpg", figure)
     strengths = np.array(fit.exposure)
-    shares = " ".join(f"{share:.3f}" for share in strengths / strengths.mean())
-    print(f"lamps' strengths: {shares}")
+    relative = " ".join(f"{ratio:.3f}" for ratio in strengths / strengths.mean())
+    print(f"lamps' strengths: {relative}")
     return 0
 
 

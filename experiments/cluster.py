@@ -1,9 +1,10 @@
-"""Question: what do maps cost on a cluster, and what when its workers die?
+"""Question: what do maps cost on a cluster, and when its workers die?
 
-`python -m experiments.cluster` makes a stack of 24 images of a ball, by the workers of
-a cluster on this machine, a thread each, and fits it from zarr to zarr: by one worker
-and by two, twice in turns; by four of which one is killed every ten seconds, to the
-same bits; and in sizes from 1 to 100 megapixels. `--small` does the same with less.
+`python -m experiments.cluster` starts a cluster on this machine, with one thread for
+each worker. The workers render a stack of 24 images of a ball and fit it from zarr to
+zarr: one worker and two, twice in turns; four of which one is killed every ten seconds,
+which must give the same bits; and sizes from 1 to 100 megapixels. `--small` runs all of
+this on smaller stacks.
 """
 
 import contextlib
@@ -66,7 +67,7 @@ def make_shard(path: str, number: int) -> None:
     whole = scenes(height, width)
     camera = WindowCamera(whole[0].camera, left, top, side, side)
     film = pf.Film(clamp=False)
-    gbuffer = pf.trace(whole[0].surface, camera)
+    gbuffer = pf.geometry.trace(whole[0].surface, camera)
     images = [
         pf.render(
             dataclasses.replace(scene, camera=camera),
@@ -93,7 +94,7 @@ def make_stack(client: Any, folder: Path, rows: int, columns: int, side: int) ->
     return path
 
 
-def begun(folder: Path) -> int:
+def count_begun(folder: Path) -> int:
     """Number of blocks that were begun, including those of workers that died."""
     return sum(1 for _ in folder.iterdir())
 
@@ -105,7 +106,7 @@ def counted_block(place: Place, number: int) -> Any:
     return fit_block(place, number)
 
 
-def timed(client: Any, stack: Path, output: Path) -> float:
+def time_fit(client: Any, stack: Path, output: Path) -> float:
     """Fit the maps of a stack into `output`, and return the seconds that this took."""
     images = pf.ZarrStack(stack)
     _, height, width = images.shape
@@ -125,7 +126,7 @@ def timed(client: Any, stack: Path, output: Path) -> float:
 
 
 @contextlib.contextmanager
-def killing(client: Any, every: float) -> Iterator[list[int]]:
+def kill_workers(client: Any, every: float) -> Iterator[list[int]]:
     """Kill a worker every so many seconds in this context; yields the killed ids."""
     killed: list[int] = []
     ended = threading.Event()
@@ -152,12 +153,12 @@ def peak_memory() -> int:
     return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
-def work_of(client: Any) -> float:
+def cpu_seconds(client: Any) -> float:
     """Sum of the CPU seconds of all workers."""
     return sum(client.run(time.process_time).values())
 
 
-def same(a: Path, b: Path) -> bool:
+def same_bits(a: Path, b: Path) -> bool:
     """Whether two stores contain the same maps, bit for bit."""
     one, other = open_group(a), open_group(b)
     names: Any = one.attrs["arrays"]
@@ -179,7 +180,7 @@ def overhead(client: Any, count: int) -> float:
     return (time.perf_counter() - start) / count
 
 
-def nothing(place: Place, number: int) -> tuple[dict[str, int], bool]:
+def empty_block(place: Place, number: int) -> tuple[dict[str, int], bool]:
     """Takes the place of [`fit_block`][], but does no work: it returns an empty
     result."""
     del place, number
@@ -214,8 +215,7 @@ def main(options: Options) -> int:
       python -m experiments.cluster --small
     """
     check_outputs(None, options.json)
-    # `counted_block` writes a file for each block that it begins: so the blocks of all
-    # processes are counted, even of killed ones.
+    # Files count the blocks that processes begin, even processes that are killed.
     with (
         patch.object(cluster, "fit_block", counted_block),
         tempfile.TemporaryDirectory(dir=options.folder) as scratch,
@@ -229,75 +229,107 @@ def main(options: Options) -> int:
 def measure(folder: Path, small: bool, every: float) -> dict[str, Any]:
     """Measure everything that [`show`][] prints."""
     console = Console(stderr=True)
-    fresh = (folder / f"maps{k}.zarr" for k in itertools.count())
-    numbers: dict[str, Any] = {"small": small, "lights": LIGHTS}
+    outputs = (folder / f"maps{k}.zarr" for k in itertools.count())
     grid, side = ((3, 4), SMALL) if small else ((6, 8), SIDE)
+    numbers: dict[str, Any] = {"small": small, "lights": LIGHTS}
+    stack = folder / f"{grid[0]}x{grid[1]}.zarr"
+    numbers["scaling"], whole = measure_scaling(stack, grid, side, outputs, console)
+    console.print(numbers["scaling"])
+    console.print(f"four, one killed every {every:g} seconds …")
+    with cluster.dask_client("local:4") as client:
+        n_blocks = grid[0] * grid[1]
+        numbers["deaths"] = measure_deaths(
+            client, stack, whole, next(outputs), n_blocks, every
+        )
+        with patch.object(cluster, "fit_block", empty_block):
+            numbers["scheduling"] = {"seconds_per_block": overhead(client, 200)}
+    console.print(numbers["deaths"], numbers["scheduling"])
+    sizes = [(1, 2), (2, 4)] if small else [(2, 4), (6, 11), (21, 33)]
+    numbers["sizes"] = measure_sizes(folder, sizes, side, outputs, console)
+    return numbers
+
+
+def measure_scaling(
+    stack: Path,
+    grid: tuple[int, int],
+    side: int,
+    outputs: Iterator[Path],
+    console: Console,
+) -> tuple[dict[str, Any], Path]:
+    """Time one worker and two on the same stack; returns the numbers and the maps."""
+    folder, n_blocks = stack.parent, grid[0] * grid[1]
     shortest: dict[int, tuple[float, float]] = {}
     # Each number is timed twice, and the shorter time counts: other work only adds.
     for workers in (1, 2, 1, 2):
         console.print(f"{workers} of one core …")
         with cluster.dask_client(f"local:{workers}") as client:
-            stack = folder / f"{grid[0]}x{grid[1]}.zarr"
             if not stack.exists():
                 make_stack(client, folder, *grid, side)
-            warm_up(client, folder, next(fresh), side)
-            output = next(fresh)
-            before, computed = time.process_time(), work_of(client)
-            taken = timed(client, stack, output)
-            spent = time.process_time() - before
-            run = (taken, work_of(client) - computed)
+            warm_up(client, folder, next(outputs), side)
+            output = next(outputs)
+            before, computed = time.process_time(), cpu_seconds(client)
+            seconds = time_fit(client, stack, output)
+            scheduler = time.process_time() - before
+            run = (seconds, cpu_seconds(client) - computed)
             shortest[workers] = min(run, shortest.get(workers, run))
             peaks: Any = client.run(peak_memory)
-            most = max(peaks.values())
-    whole = output
-    seconds = {workers: taken for workers, (taken, _) in shortest.items()}
-    work = {workers: cpu for workers, (_, cpu) in shortest.items()}
-    pixels = grid[0] * grid[1] * side**2
-    numbers["scaling"] = {
+            peak = max(peaks.values())
+    wall = {workers: seconds for workers, (seconds, _) in shortest.items()}
+    pixels = n_blocks * side**2
+    numbers = {
         "pixels": pixels,
-        "seconds": seconds,
-        "cpu_seconds": work,
-        "ratio": seconds[1] / seconds[2],
-        "pixels_per_worker_second": pixels / seconds[1],
+        "seconds": wall,
+        "cpu_seconds": {workers: cpu for workers, (_, cpu) in shortest.items()},
+        "ratio": wall[1] / wall[2],
+        "pixels_per_worker_second": pixels / wall[1],
         "bytes_read_per_pixel": size_of(stack) / pixels,
-        "bytes_written_per_pixel": size_of(whole) / pixels,
-        "peak_memory_of_a_worker": most,
-        "scheduler_cpu_seconds_per_block": spent / (grid[0] * grid[1]),
+        "bytes_written_per_pixel": size_of(output) / pixels,
+        "peak_memory_of_a_worker": peak,
+        "scheduler_cpu_seconds_per_block": scheduler / n_blocks,
     }
-    console.print(numbers["scaling"])
-    console.print(f"four, one killed every {every:g} seconds …")
-    with cluster.dask_client("local:4") as client:
-        output = next(fresh)
-        with killing(client, every) as killed:
-            taken = timed(client, stack, output)
-        blocks = grid[0] * grid[1]
-        numbers["deaths"] = {
-            "killed": len(killed),
-            "every": every,
-            "seconds": taken,
-            "blocks": blocks,
-            "begun": begun(output.with_suffix(".begun")),
-            "work": begun(output.with_suffix(".begun")) / blocks,
-            "same_bits": same(whole, output),
-        }
-        with patch.object(cluster, "fit_block", nothing):
-            numbers["scheduling"] = {"seconds_per_block": overhead(client, 200)}
-    console.print(numbers["deaths"], numbers["scheduling"])
-    sizes = [(1, 2), (2, 4)] if small else [(2, 4), (6, 11), (21, 33)]
-    numbers["sizes"] = []
+    return numbers, output
+
+
+def measure_deaths(
+    client: Any, stack: Path, expected: Path, output: Path, n_blocks: int, every: float
+) -> dict[str, Any]:
+    """Fit while workers are killed, and compare with the maps `expected`."""
+    with kill_workers(client, every) as killed:
+        seconds = time_fit(client, stack, output)
+    begun = count_begun(output.with_suffix(".begun"))
+    return {
+        "killed": len(killed),
+        "every": every,
+        "seconds": seconds,
+        "blocks": n_blocks,
+        "begun": begun,
+        "work": begun / n_blocks,
+        "same_bits": same_bits(expected, output),
+    }
+
+
+def measure_sizes(
+    folder: Path,
+    sizes: list[tuple[int, int]],
+    side: int,
+    outputs: Iterator[Path],
+    console: Console,
+) -> list[dict[str, float]]:
+    """Time stacks of several sizes, given as shards along each axis."""
+    rows = []
     with cluster.dask_client("local:2") as client:
-        warm_up(client, folder, next(fresh), side)
+        warm_up(client, folder, next(outputs), side)
         for size in sizes:
-            console.print(f"{size[0] * size[1] * side**2 / 1e6:.1f} megapixels …")
-            stack = make_stack(client, folder, *size, side)
-            output = next(fresh)
-            taken = timed(client, stack, output)
             pixels = size[0] * size[1] * side**2
-            row = {"megapixels": pixels / 1e6, "microseconds": 1e6 * taken / pixels}
-            numbers["sizes"].append(row)
+            console.print(f"{pixels / 1e6:.1f} megapixels …")
+            stack, output = make_stack(client, folder, *size, side), next(outputs)
+            seconds = time_fit(client, stack, output)
+            rows.append(
+                {"megapixels": pixels / 1e6, "microseconds": 1e6 * seconds / pixels}
+            )
             for path in (stack, output):
                 shutil.rmtree(path)
-    return numbers
+    return rows
 
 
 def warm_up(client: Any, folder: Path, output: Path, side: int) -> None:
@@ -305,7 +337,7 @@ def warm_up(client: Any, folder: Path, output: Path, side: int) -> None:
     stack = folder / "1x4.zarr"
     if not stack.exists():
         make_stack(client, folder, 1, 4, side)
-    timed(client, stack, output)
+    time_fit(client, stack, output)
 
 
 def show(numbers: dict[str, Any]) -> None:

@@ -27,9 +27,9 @@ import phongfit as pf
 from experiments.references import (
     KEPT,
     Reference,
+    covered_pixels,
     find_references,
     read_reference,
-    seen,
 )
 from phongfit.cli import run
 from phongfit.files.outputs import check_file, write_json
@@ -95,7 +95,7 @@ def compare(reference: Reference) -> Agreement:
     mask = np.asarray(gbuffer.mask)
     if reference.vertex_colors is None:
         # Coverage is known from the reference's image only, so ours is computed alike.
-        mask = seen(image, np.asarray(scene.background))
+        mask = covered_pixels(image, np.asarray(scene.background))
         compared = mask | reference.covered
     else:
         compared = mask & reference.covered
@@ -113,11 +113,11 @@ def compare(reference: Reference) -> Agreement:
     )
 
 
-def _vertex_error(reference: Reference, gbuffer: pf.GBuffer) -> float | None:
+def _vertex_error(reference: Reference, gbuffer: pf.geometry.GBuffer) -> float | None:
     expected = reference.vertex_colors
     if expected is None:
         return None
-    light = pf.combine(pf.terms(reference.scene, gbuffer), reference.material)
+    light = pf.rendering.combine(pf.terms(reference.scene, gbuffer), reference.material)
     lit = np.asarray(reference.film.expose(light), float)
     return float(abs(lit - expected.colors).max())
 
@@ -153,12 +153,12 @@ def main(options: Options) -> int:
         reference = read_reference(path)._replace(name=str(path.with_suffix("")))
         agreements.append(compare(reference))
         print(agreements[-1].line(width), flush=True)
-    short = sum(not agreement.agrees for agreement in agreements)
-    print(f"{len(agreements) - short} of {len(agreements)} scenes agree")
+    n_failed = sum(not agreement.agrees for agreement in agreements)
+    print(f"{len(agreements) - n_failed} of {len(agreements)} scenes agree")
     if options.json is not None:
         fields = [one._asdict() | {"agrees": one.agrees} for one in agreements]
-        write_json(options.json, {"scenes": fields, "agree": short == 0})
-    return int(short > 0)
+        write_json(options.json, {"scenes": fields, "agree": n_failed == 0})
+    return int(n_failed > 0)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 One ball over a floor through 24 hours: sun and moon are directional lights, a street
 lamp is a spot, the sky is ambient light, and there is fog in the morning. Light adds,
-so each picture is taken apart into what each source gives, by the hour.
+so each picture is split into the parts due to each source, hour by hour.
 """
 
 import dataclasses
@@ -35,12 +35,13 @@ class Result:
     """Light of the scene over the day.
 
     - `hours`: times of the images.
-    - `shares`: mean light of ball and floor from each of `SOURCES`, (hours, sources).
+    - `light_by_source`: mean light of ball and floor, (hours, sources); the sources are
+        those of `SOURCES`.
     - `sum_error`: largest difference of a sample from the sum of its parts.
     """
 
     hours: np.ndarray
-    shares: np.ndarray
+    light_by_source: np.ndarray
     sum_error: float
 
 
@@ -56,24 +57,25 @@ def ramp(value: float, low: float, high: float) -> float:
 
 def sky(hour: float) -> Float[np.ndarray, "3"]:
     """The sky's colour: blue by day, red at dusk and dawn, nearly black at night."""
-    high = elevation(hour)
-    plain = NIGHT_SKY + ramp(high, -0.25, 0.35) * (DAY_SKY - NIGHT_SKY)
-    red = np.exp(-((high / 0.18) ** 2)) * 0.6
-    return (1 - red) * plain + red * 0.6 * DUSK
+    elevation_sine = elevation(hour)
+    plain = NIGHT_SKY + ramp(elevation_sine, -0.25, 0.35) * (DAY_SKY - NIGHT_SKY)
+    redness = np.exp(-((elevation_sine / 0.18) ** 2)) * 0.6
+    return (1 - redness) * plain + redness * 0.6 * DUSK
 
 
-def at(hour: float, size: int) -> pf.Scene:
-    """The scene at an hour of the day; compiled programs serve all hours."""
+def scene_at(hour: float, size: int) -> pf.Scene:
+    """The scene at an hour of the day, of one structure, so it is compiled once."""
     turn = np.pi * (hour - 6) / 12
-    high = elevation(hour)
-    up = max(abs(high), 0.05)
-    across = (np.cos(turn), up, 0.5)
+    elevation_sine = elevation(hour)
+    up = max(abs(elevation_sine), 0.05)
+    direction = (np.cos(turn), up, 0.5)
     low_sun = np.array([1.0, 0.45, 0.15])
-    sun = low_sun + ramp(high, 0.0, 0.5) * (np.array([0.8, 0.77, 0.7]) - low_sun)
+    high_sun = np.array([0.8, 0.77, 0.7])
+    sun = low_sun + ramp(elevation_sine, 0.0, 0.5) * (high_sun - low_sun)
     lamp = pf.SpotLight(
         (-0.5, 2.0, 0.8),
         (0.4, -1.4, -0.7),
-        ramp(-high, -0.12, 0.05) * np.array(LAMP),
+        ramp(-elevation_sine, -0.12, 0.05) * np.array(LAMP),
         cutoff=32.0,
         exponent=3.0,
         attenuation=(0, 0, 1),
@@ -83,12 +85,13 @@ def at(hour: float, size: int) -> pf.Scene:
         (0.6, 1.5, 4.2), (0.15, 0.62, 0), width=size, height=size, fov_y=34.0
     )
     return pf.Scene(
-        pf.join([floor(60.0), ball(48, RADIUS, (0, 0.6, 0))]),
+        pf.geometry.join([floor(60.0), ball(48, RADIUS, (0, 0.6, 0))]),
         camera,
         [
-            pf.DirectionalLight(across, ramp(high, 0.0, 0.2) * sun),
+            pf.DirectionalLight(direction, ramp(elevation_sine, 0.0, 0.2) * sun),
             pf.DirectionalLight(
-                (-across[0], up, 0.5), ramp(-high, 0.0, 0.2) * np.array(MOON)
+                (-direction[0], up, 0.5),
+                ramp(-elevation_sine, 0.0, 0.2) * np.array(MOON),
             ),
             lamp,
         ],
@@ -99,8 +102,8 @@ def at(hour: float, size: int) -> pf.Scene:
     )
 
 
-def parts(
-    scene: pf.Scene, gbuffer: pf.GBuffer
+def split_by_source(
+    scene: pf.Scene, gbuffer: pf.geometry.GBuffer
 ) -> Float[np.ndarray, "parts height width 3"]:
     """Parts of the picture due to each lamp, the sky and the fog; last the picture."""
     dark = jnp.zeros_like(scene.ambient)
@@ -125,15 +128,18 @@ def parts(
 
 def measure(size: int, hours: np.ndarray) -> tuple[Result, np.ndarray]:
     """Measure every hour; returns the numbers and the pictures."""
-    shares, off, pictures = [], [], []
+    light_by_source, sum_errors, pictures = [], [], []
     for hour in hours:
-        scene = at(hour, size)
+        scene = scene_at(hour, size)
         gbuffer = scene.trace()
-        *apart, whole = parts(scene, gbuffer)
-        shares.append(np.array(apart)[:, np.asarray(gbuffer.mask)].mean(axis=(1, 2)))
-        off.append(np.abs(sum(apart) - whole).max())
+        *by_source, whole = split_by_source(scene, gbuffer)
+        light_by_source.append(
+            np.array(by_source)[:, np.asarray(gbuffer.mask)].mean(axis=(1, 2))
+        )
+        sum_errors.append(np.abs(sum(by_source) - whole).max())
         pictures.append(whole)
-    return Result(hours, np.array(shares), float(max(off))), np.array(pictures)
+    result = Result(hours, np.array(light_by_source), float(max(sum_errors)))
+    return result, np.array(pictures)
 
 
 @style.styled
@@ -143,12 +149,13 @@ def draw(result: Result, size: int) -> Figure:
     top, bottom = style.bands(figure, 4.1, 2.4)
     for axes, hour in zip(top.subplots(2, 4).flat, SHOWN, strict=True):
         minutes = round(60 * hour)
-        picture = pf.render(at(hour, size), MATERIAL, samples=4)
+        picture = pf.render(scene_at(hour, size), MATERIAL, samples=4)
         style.show(axes, picture, f"{minutes // 60}:{minutes % 60:02d}")
     left, right = bottom.subplots(1, 2)
+    light = result.light_by_source
     for axes, values in (
-        (left, result.shares),
-        (right, 100 * result.shares / result.shares.sum(axis=1, keepdims=True)),
+        (left, light),
+        (right, 100 * light / light.sum(axis=1, keepdims=True)),
     ):
         axes.stackplot(
             result.hours, values.T, labels=SOURCES, colors=COLOURS, lw=0.5, ec="white"
@@ -168,21 +175,21 @@ def find(small: bool) -> Finding:
     """Measure, draw and answer."""
     hours = np.linspace(0, 24, 13 if small else 49)
     result, pictures = measure(48 if small else 160, hours)
-    light = result.shares.sum(axis=1)
+    light = result.light_by_source.sum(axis=1)
     noon, night = int(np.argmin(np.abs(hours - 12))), 0
-    share = result.shares / light[:, None]
+    fraction = result.light_by_source / light[:, None]
     answer = (
         f"At noon ball and floor send {light[noon] / light[night]:.0f} times the light "
-        f"of midnight. The sun gives {100 * share[noon, 0]:.0f} % and the sky "
-        f"{100 * share[noon, 3]:.0f} % at noon; at midnight the street lamp gives "
-        f"{100 * share[night, 2]:.0f} %, the moon {100 * share[night, 1]:.0f} %. Most "
-        f"of what fog sends is at {hours[np.argmax(share[:, 4])]:g} o'clock, "
-        f"{100 * share[:, 4].max():.0f} %. The parts add up to the whole picture to "
+        f"of midnight. The sun gives {100 * fraction[noon, 0]:.0f} % and the sky "
+        f"{100 * fraction[noon, 3]:.0f} % at noon; at midnight the street lamp gives "
+        f"{100 * fraction[night, 2]:.0f} %, the moon {100 * fraction[night, 1]:.0f} %. "
+        f"The fog gives most at {hours[np.argmax(fraction[:, 4])]:g} o'clock, "
+        f"{100 * fraction[:, 4].max():.0f} %. The parts add up to the whole picture to "
         f"{result.sum_error:.0e} of white, shadows and fog included."
     )
     rows = tuple(
         (f"{hour:g}:00", f"{total:.3f}", *(f"{100 * part:.0f} %" for part in line))
-        for hour, total, line in zip(hours, light, share, strict=True)
+        for hour, total, line in zip(hours, light, fraction, strict=True)
         if hour % 4 == 0
     )
     added = result.sum_error < 1e-5
@@ -195,7 +202,7 @@ def find(small: bool) -> Finding:
         "source, hour by hour.",
         Table(("hour", "light", *SOURCES), rows),
         frames=pictures[:-1],
-        wrong=() if added else ("the parts do not add up to the whole",),
+        failed_checks=() if added else ("the parts do not add up to the whole",),
     )
 
 

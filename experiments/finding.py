@@ -18,7 +18,7 @@ from experiments.output import (
     JsonFile,
     PictureFile,
     check_outputs,
-    complain,
+    print_warnings,
     save_numbers,
     save_picture,
 )
@@ -45,7 +45,7 @@ class Finding:
     alt: str
     table: Table | None = None
     frames: Float[np.ndarray, "frames height width 3"] | None = None
-    wrong: tuple[str, ...] = ()
+    failed_checks: tuple[str, ...] = ()
 
 
 Finding.__init__.__doc__ = """**Arguments:**
@@ -55,7 +55,7 @@ Finding.__init__.__doc__ = """**Arguments:**
 - `figure`, and `alt`: what is to be seen in it, for those who cannot see it.
 - `table`: the numbers as rows.
 - `frames`: an animation, linear light.
-- `wrong`: what should hold and does not, in words.
+- `failed_checks`: what should hold and does not, in words.
 """
 
 
@@ -66,12 +66,12 @@ class Experiment:
     **Arguments:**
 
     - `name`: name of its module and of its files.
-    - `about`: that module's docstring: the question, an empty line, what is done.
+    - `docstring`: that module's docstring: the question, an empty line, what is done.
     - `find`: the function that runs it; `find(True)` is quick and coarse.
     """
 
     name: str
-    about: str | None
+    docstring: str | None
     find: Callable[[bool], Finding]
 
     @property
@@ -87,7 +87,7 @@ class Experiment:
 
     @property
     def _parts(self) -> tuple[str, str]:
-        first, _, rest = (self.about or "").partition("\n\n")
+        first, _, rest = (self.docstring or "").partition("\n\n")
         return " ".join(first.split()), " ".join(rest.split())
 
     def command(self) -> Callable[..., int]:
@@ -109,7 +109,7 @@ class Experiment:
                 save_animation(animation, finding.frames)
                 print(f"animation: {animation}")
             save_numbers(json, finding.numbers)
-            return 1 if finding.wrong else 0
+            return 1 if finding.failed_checks else 0
 
         main.__doc__ = HELP.format(question=self.question, method=self.method)
         return main
@@ -140,7 +140,7 @@ def show(console: Console, finding: Finding) -> None:
             table.add_row(*map(escape, row))
         console.print(table)
     console.print(finding.answer, markup=False, highlight=False)
-    complain(console, finding.wrong)
+    print_warnings(console, finding.failed_checks)
 
 
 # Milliseconds that a frame of an animation stays.

@@ -31,8 +31,8 @@ from phongfit.report.pictures import Row, comparison
 
 SHOWN = 3
 
-MATTE = ("ambient", "diffuse")
-WHOLE = ("ambient", "diffuse", "specular", "shininess")
+MATTE_PARAMETERS = ("ambient", "diffuse")
+ALL_PARAMETERS = ("ambient", "diffuse", "specular", "shininess")
 
 
 def read(folder: Path) -> Dataset:
@@ -40,7 +40,7 @@ def read(folder: Path) -> Dataset:
     return read_data(DataOptions(folder))[0]
 
 
-def half(data: Dataset, first: int) -> Dataset:
+def every_second(data: Dataset, first: int) -> Dataset:
     """Every second photograph, beginning with number `first`."""
     pick = slice(first, None, 2)
     return dataclasses.replace(
@@ -61,13 +61,13 @@ def predict(data: Dataset, material: pf.Material) -> list[np.ndarray]:
 def rmse_over_mean(data: Dataset, predicted: list[np.ndarray]) -> np.ndarray:
     """Root mean square of the error over the mean light, for each channel."""
     images, errors, weights = [], [], []
-    for image, guess, mask, scene in zip(
+    for image, prediction, mask, scene in zip(
         data.images, predicted, data.masks, data.scenes, strict=True
     ):
-        seen = mask & np.asarray(pf.trace(scene.surface, scene.camera).mask)
-        weights.append(seen.sum())
-        images.append(image[seen].sum(axis=0, dtype=float))
-        errors.append(((guess - image)[seen].astype(float) ** 2).sum(axis=0))
+        used = mask & np.asarray(pf.geometry.trace(scene.surface, scene.camera).mask)
+        weights.append(used.sum())
+        images.append(image[used].sum(axis=0, dtype=float))
+        errors.append(((prediction - image)[used].astype(float) ** 2).sum(axis=0))
     count = np.sum(weights)
     return np.sqrt(np.sum(errors, axis=0) / count) / (np.sum(images, axis=0) / count)
 
@@ -89,10 +89,10 @@ def fit(data: Dataset, unknowns: tuple[str, ...], shared: tuple[str, ...]) -> pf
 def show(title: str, result: pf.Fit, score: np.ndarray) -> None:
     """Print a fit and its score."""
     print(f"{title}\n{result}\n")
-    print(f"  left-out photographs, RMSE / mean (R G B): {_triple(score)}\n")
+    print(f"  left-out photographs, RMSE / mean (R G B): {_format_channels(score)}\n")
 
 
-def _triple(score: np.ndarray) -> str:
+def _format_channels(score: np.ndarray) -> str:
     return " ".join(f"{value:.4f}" for value in score)
 
 
@@ -120,20 +120,26 @@ def main(
     data = read(folder)
     if len(data.images) < 2:
         raise ValueError(f"{folder}: expected at least two photographs, got one")
-    seen, unseen = half(data, 0), half(data, 1)
+    fitted, left_out = every_second(data, 0), every_second(data, 1)
     fits = {
-        "free": fit(seen, WHOLE, ()),
-        "shared": fit(seen, WHOLE, ("specular", "shininess")),
-        "matte": fit(seen, MATTE, ()),
+        "free": fit(fitted, ALL_PARAMETERS, ()),
+        "shared": fit(fitted, ALL_PARAMETERS, ("specular", "shininess")),
+        "matte": fit(fitted, MATTE_PARAMETERS, ()),
     }
-    guesses = {name: predict(unseen, result.material) for name, result in fits.items()}
-    scores = {name: rmse_over_mean(unseen, guess) for name, guess in guesses.items()}
-    counts = f"{len(seen.images)} photographs, {len(unseen.images)} left out"
+    predictions = {
+        name: predict(left_out, result.material) for name, result in fits.items()
+    }
+    scores = {
+        name: rmse_over_mean(left_out, prediction)
+        for name, prediction in predictions.items()
+    }
+    counts = f"{len(fitted.images)} photographs, {len(left_out.images)} left out"
     print(f"{data.name}: fitted to {counts}\n")
     show("each channel its own ρ_s and f", fits["free"], scores["free"])
     show("ρ_s and f shared by the channels", fits["shared"], scores["shared"])
-    print(f"matte surface, for comparison: RMSE / mean {_triple(scores['matte'])}")
-    save_picture(picture, _figure(unseen, guesses["free"]))
+    matte = _format_channels(scores["matte"])
+    print(f"matte surface, for comparison: RMSE / mean {matte}")
+    save_picture(picture, _figure(left_out, predictions["free"]))
     save_numbers(json, _numbers(fits, scores))
     better = all((scores[name] < scores["matte"]).all() for name in ("free", "shared"))
     return 0 if better and all(f.converged for f in fits.values()) else 1

@@ -24,7 +24,7 @@ from phongfit.cli import run
 from phongfit.files.outputs import check_file
 from phongfit.report.pictures import Row, comparison
 
-DRAWN = (model, highlights, shading_methods, light_kinds, day_to_night)
+DRAWN_EXPERIMENTS = (model, highlights, shading_methods, light_kinds, day_to_night)
 """Experiments whose figures the gallery has."""
 
 ASIDE = (1.6, 0.9, 1.5)
@@ -44,7 +44,7 @@ class Cat(NamedTuple):
     photograph: Float[np.ndarray, "height width 3"]
 
 
-def cat() -> Cat:
+def map_cat() -> Cat:
     """Run `docs/how-to/capture.md`; returns its maps and one of its photographs."""
     with tempfile.TemporaryDirectory() as folder:
         names = run_page(Path(folder))
@@ -57,8 +57,8 @@ def draw_ball() -> Figure:
     rows = []
     for name in ("ruby", "brass"):
         image, fit = _fitted_ball(name)
-        found = fit["shininess"]
-        title = f"{name}: f = {found.value:.4g} ± {found.error:.1g}"
+        exponent = fit["shininess"]
+        title = f"{name}: f = {exponent.value:.4g} ± {exponent.error:.1g}"
         rows.append(Row(image, fit.fitted, fit.residuals, title))
     return comparison(rows, ("photograph", "fit"), blocks=2)
 
@@ -75,18 +75,18 @@ def _fitted_ball(name: str) -> tuple[np.ndarray, pf.Fit]:
 
 
 @styled
-def draw_home(of: Cat) -> Figure:
+def draw_home(cat: Cat) -> Figure:
     """Draw a photograph, its fit with numbers, and a mapped object that is relit."""
     image, fit = _fitted_ball("ruby")
     drawing = page(2.3)
     panels = drawing.subplots(1, 5)
     show(panels[0], image, "a photograph")
     show(panels[1], np.clip(fit.fitted, 0, 1), "its fit", _numbers_of(fit))
-    show(panels[2], of.photograph / np.quantile(of.photograph, 0.995), "1 of 12")
-    inside = ~of.maps.flagged(pf.Flag.OUTSIDE)
-    normals = np.where(inside[..., None], (of.maps.normals + 1) / 2, 1)
+    show(panels[2], cat.photograph / np.quantile(cat.photograph, 0.995), "1 of 12")
+    inside = ~cat.maps.flagged(pf.Flag.OUTSIDE)
+    normals = np.where(inside[..., None], (cat.maps.normals + 1) / 2, 1)
     show(panels[3], normals, "normals")
-    (picture,) = of.maps.relight([pf.DirectionalLight(LAMPS[1])])
+    (picture,) = cat.maps.relight([pf.DirectionalLight(LAMPS[1])])
     show(panels[4], picture / np.quantile(picture, 0.99), "relit")
     for axes in panels:
         axes.set_anchor("N")
@@ -102,12 +102,12 @@ def _numbers_of(fit: pf.Fit) -> str:
 
 
 @styled
-def draw_maps(of: Cat) -> Figure:
+def draw_maps(cat: Cat) -> Figure:
     """Draw a photograph, and the maps of its pixels."""
-    maps = of.maps
+    maps = cat.maps
     drawing = page(3.0)
     panels = drawing.subplots(1, 4)
-    show(panels[0], of.photograph / np.quantile(of.photograph, 0.995), "photograph")
+    show(panels[0], cat.photograph / np.quantile(cat.photograph, 0.995), "photograph")
     inside = ~maps.flagged(pf.Flag.OUTSIDE)
     _numbers(panels[1], maps.diffuse[..., 0], inside, "diffuse $ρ_{d}$")
     panels[2].imshow(np.where(inside[..., None], (maps.normals + 1) / 2, 1))
@@ -121,16 +121,16 @@ def draw_maps(of: Cat) -> Figure:
 
 def _numbers(axes: Axes, values: np.ndarray, inside: np.ndarray, title: str) -> None:
     known = np.where(inside & np.isfinite(values), values, np.nan)
-    drawn = axes.imshow(known, vmin=0, vmax=np.nanquantile(known, 0.98), cmap="viridis")
+    image = axes.imshow(known, vmin=0, vmax=np.nanquantile(known, 0.98), cmap="viridis")
     figure: Any = axes.get_figure(root=True)
-    figure.colorbar(drawn, ax=axes, location="bottom", fraction=0.06, pad=0.02)
+    figure.colorbar(image, ax=axes, location="bottom", fraction=0.06, pad=0.02)
     axes.set_title(title)
 
 
 @styled
-def draw_relit(of: Cat) -> Figure:
+def draw_relit(cat: Cat) -> Figure:
     """Draw the cat under other lamps, with shadows, and its mesh from the side."""
-    maps, surface = of.maps, of.maps.height()
+    maps, surface = cat.maps, cat.maps.height()
     pictures = maps.relight([pf.DirectionalLight(lamp) for lamp in LAMPS])
     drawing = page(2.9)
     panels = drawing.subplots(1, 4)
@@ -142,7 +142,7 @@ def draw_relit(of: Cat) -> Figure:
     return drawing
 
 
-def _mesh(surface: pf.HeightField) -> np.ndarray:
+def _mesh(surface: pf.geometry.HeightField) -> np.ndarray:
     """Render a surface's mesh under one lamp, from the side."""
     mesh, points = surface.mesh(), surface.positions()[surface.mask]
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
@@ -179,17 +179,19 @@ def main(pictures: Path = Path("out/gallery")) -> int:
     """
     check_file(pictures / "ball.jpg")
     pictures.mkdir(parents=True, exist_ok=True)
-    of = cat()
-    drawn: dict[str, Callable[[], Figure]] = {
-        "home": lambda: draw_home(of),
+    cat = map_cat()
+    drawings: dict[str, Callable[[], Figure]] = {
+        "home": lambda: draw_home(cat),
         "ball": draw_ball,
-        "cat_maps": lambda: draw_maps(of),
-        "cat_relit": lambda: draw_relit(of),
+        "cat_maps": lambda: draw_maps(cat),
+        "cat_relit": lambda: draw_relit(cat),
     }
-    for module in DRAWN:
-        one = module.EXPERIMENT
-        drawn[one.name] = lambda one=one: one.find(False).figure
-    for name, draw in drawn.items():
+    for module in DRAWN_EXPERIMENTS:
+        experiment = module.EXPERIMENT
+        drawings[experiment.name] = lambda experiment=experiment: (
+            experiment.find(False).figure
+        )
+    for name, draw in drawings.items():
         save(draw(), pictures / f"{name}.jpg")
     return 0
 

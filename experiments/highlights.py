@@ -192,9 +192,11 @@ def find(small: bool) -> Finding:
         for f, line in zip(EXPONENTS, result.ratio, strict=True)
     )
     narrow = near[np.array(EXPONENTS) >= 50]
-    wrong = ()
+    failed_checks = ()
     if np.any(np.abs(narrow / 0.25 - 1) > 0.05):
-        wrong = ("a narrow highlight's Phong exponent is not a quarter of Blinn's",)
+        failed_checks = (
+            "a narrow highlight's Phong exponent is not a quarter of Blinn's",
+        )
     return Finding(
         answer,
         dataclasses.asdict(result),
@@ -203,7 +205,7 @@ def find(small: bool) -> Finding:
         "near the viewer and one far around; profiles of the four; the ratio of the "
         "exponents of Phong and Blinn, near a quarter for lamps near the viewer.",
         Table(("Blinn's f", *(f"lamp at {angle:g}°" for angle in ANGLES)), rows),
-        wrong=wrong,
+        failed_checks=failed_checks,
     )
 
 

@@ -31,7 +31,7 @@ PARAMETERS = tuple(style.PARAMETERS)
 
 @dataclasses.dataclass(frozen=True)
 class Setting:
-    """A set of scenes with its noise; `x` is its coordinate in a sweep."""
+    """One point of a sweep, at the coordinate `x`: scenes, noise, material and film."""
 
     x: float
     scenes: tuple[pf.Scene, ...]
@@ -55,10 +55,10 @@ class Spread:
     """Errors of many fits of one setting, in the order of `PARAMETERS`.
 
     - `bound`, `observed`: the predicted error, and the root mean square of the fits'
-        errors, as shares of the truth;
+        errors, relative to the truth;
     - `pull`: root mean square of error / stated error, over the fits that state one;
     - `identified`: whether the prediction says that the parameter is identifiable;
-    - `draws`: how many fits.
+    - `draws`: number of fits.
     """
 
     x: float
@@ -74,7 +74,7 @@ class Spread:
         return np.where(self.identified, self.observed / self.bound, np.nan)
 
     @property
-    def slack(self) -> float:
+    def tolerance(self) -> float:
         """Three relative standard errors of a root mean square over `draws` fits."""
         return 3 / np.sqrt(2 * self.draws)
 
@@ -116,26 +116,28 @@ def resolutions(sizes: Sequence[int]) -> Sweep:
     return Sweep("resolution", "width of the image (pixels)", settings)
 
 
-def clipped(shares: Sequence[float]) -> Sweep:
+def exposures(fractions: Sequence[float]) -> Sweep:
     """A sweep over the exposure: these fractions of the ball's samples are white."""
     (scene,) = ball(SIZE, LAMP)
     seen = np.asarray(pf.render(scene, TRUTH, film=UNCLAMPED))[scene.trace().mask]
     settings = []
-    for share in shares:
-        exposure = 0.9 / seen.max() if share == 0 else 1 / np.quantile(seen, 1 - share)
+    for fraction in fractions:
+        exposure = (
+            0.9 / seen.max() if fraction == 0 else 1 / np.quantile(seen, 1 - fraction)
+        )
         scenes = tuple(ball(SIZE, LAMP, float(exposure)))
-        settings.append(Setting(100 * share, scenes, film=pf.Film()))
+        settings.append(Setting(100 * fraction, scenes, film=pf.Film()))
     return Sweep("clipping", "samples at white (%)", tuple(settings), log=False)
 
 
-def windows(places: Sequence[float], size: int = 39) -> Sweep:
+def close_ups(places: Sequence[float], size: int = 39) -> Sweep:
     """A sweep of close-ups; x is the fraction of the highlight that is seen."""
     settings = []
     (whole,) = close_up(-0.2, 2.0, size)
     for place in places:
         scenes = close_up(place, 0.8, size)
-        share = highlight_light(scenes[0]) / highlight_light(whole)
-        settings.append(Setting(100 * share, scenes, material=SHARP))
+        fraction = highlight_light(scenes[0]) / highlight_light(whole)
+        settings.append(Setting(100 * fraction, scenes, material=SHARP))
     label = "share of the highlight that is seen (%)"
     return Sweep("highlight", label, tuple(settings), log=False)
 
@@ -167,20 +169,20 @@ def sweeps(small: bool) -> list[Sweep]:
             noises([0.01, 0.03]),
             lamps([1, 4]),
             resolutions([32, SIZE]),
-            clipped([0.0, 0.3]),
+            exposures([0.0, 0.3]),
             # The size of the other sweeps, so that compiled programs are shared.
-            windows([-0.1, 0.5], SIZE),
+            close_ups([-0.1, 0.5], SIZE),
         ]
     return [
         noises([0.003, 0.01, 0.03, 0.1, 0.3]),
         lamps([1, 2, 4, 8]),
         resolutions([16, 24, 32, 48, 64]),
-        clipped([0.0, 0.1, 0.25, 0.5, 0.75]),
-        windows([-0.1, 0.0, 0.1, 0.2, 0.3, 0.45, 0.55]),
+        exposures([0.0, 0.1, 0.25, 0.5, 0.75]),
+        close_ups([-0.1, 0.0, 0.1, 0.2, 0.3, 0.45, 0.55]),
     ]
 
 
-def spread(setting: Setting, draws: int, seed: int) -> Spread:
+def measure_setting(setting: Setting, draws: int, seed: int) -> Spread:
     """Errors of many fits of one setting, and the errors predicted for them."""
     options: dict[str, Any] = dict(
         noise=setting.noise, film=setting.film, per_channel=()
@@ -217,10 +219,10 @@ def spread(setting: Setting, draws: int, seed: int) -> Spread:
 
 def relative(values: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """Errors relative to the truth; for f the error of log f, which is fitted."""
-    share = values / truth - 1
+    error = values / truth - 1
     f = PARAMETERS.index("shininess")
-    share[f] = np.log(values[f] / truth[f])
-    return share
+    error[f] = np.log(values[f] / truth[f])
+    return error
 
 
 def root_mean_square(columns: np.ndarray) -> np.ndarray:
@@ -232,66 +234,71 @@ def root_mean_square(columns: np.ndarray) -> np.ndarray:
     return np.where(count > len(columns) / 2, np.sqrt(mean), np.nan)
 
 
-Found = list[tuple[Sweep, list[Spread]]]
+Results = list[tuple[Sweep, list[Spread]]]
+"""Each sweep, with the spread of the fits at each of its settings."""
 
 
-def measure(small: bool) -> Found:
+def measure(small: bool) -> Results:
     """Measure all sweeps, with independent noise for every setting."""
-    draws, seed, found = 40 if small else 200, 0, []
+    draws, seed, results = 40 if small else 200, 0, []
     for sweep in sweeps(small):
         seeds = range(seed, seed + len(sweep.settings))
         seed += len(seeds)
         spreads = [
-            spread(setting, draws, one)
-            for setting, one in zip(sweep.settings, seeds, strict=True)
+            measure_setting(setting, draws, seed_of_setting)
+            for setting, seed_of_setting in zip(sweep.settings, seeds, strict=True)
         ]
-        found.append((sweep, spreads))
-    return found
+        results.append((sweep, spreads))
+    return results
 
 
 @style.styled
-def draw(found: Found) -> Figure:
+def draw(results: Results) -> Figure:
     """Draw a panel for each sweep, and one with all ratios."""
     figure = style.page(7.4)
     panels = figure.subplots(3, 2).ravel()
-    for axes, (sweep, spreads) in zip(panels, found, strict=False):
+    for axes, (sweep, spreads) in zip(panels, results, strict=False):
         draw_sweep(axes, sweep, spreads)
     panels[0].legend(ncols=2, title="lines: predicted; marks: fits")
     panels[3].set_title("hollow marks: something is not identifiable")
     for axes in panels[:-1]:
         axes.set_ylabel("error (% of the value)")
-    ratios, start = panels[-1], 0
-    draws = found[0][1][0].draws
-    slack = found[0][1][0].slack
-    ratios.axhspan(1 - slack, 1 + slack, color=style.GRID, lw=0)
-    middles = []
-    for _, spreads in found:
-        places = start + np.arange(len(spreads))
+    draw_ratios(panels[-1], results)
+    return figure
+
+
+def draw_ratios(axes: Axes, results: Results) -> None:
+    """Draw observed over predicted errors at all settings, sweep beside sweep."""
+    first = results[0][1][0]
+    draws, tolerance = first.draws, first.tolerance
+    axes.axhspan(1 - tolerance, 1 + tolerance, color=style.GRID, lw=0)
+    start, middles = 0, []
+    for _, spreads in results:
+        x = start + np.arange(len(spreads))
         for k, name in enumerate(PARAMETERS):
             colour, marker, _ = style.PARAMETERS[name]
-            judged = [one.ratio[k] for one in spreads]
-            ratios.plot(places + 0.18 * (k - 1.5), judged, marker, c=colour, ms=3.5)
-        middles.append(places.mean())
+            ratio = [spread.ratio[k] for spread in spreads]
+            axes.plot(x + 0.18 * (k - 1.5), ratio, marker, c=colour, ms=3.5)
+        middles.append(x.mean())
         start += len(spreads) + 1
-    ratios.set_ylim(1 - 1.5 * slack, 1 + 1.5 * slack)
-    ratios.set_xticks(middles, [sweep.name for sweep, _ in found])
-    ratios.tick_params("x", length=0)
-    ratios.grid(False, axis="x")
-    ratios.set_ylabel("spread of the fits / predicted")
-    ratios.set_title(f"ratios; band: 3 standard errors, {draws} fits")
-    return figure
+    axes.set_ylim(1 - 1.5 * tolerance, 1 + 1.5 * tolerance)
+    axes.set_xticks(middles, [sweep.name for sweep, _ in results])
+    axes.tick_params("x", length=0)
+    axes.grid(False, axis="x")
+    axes.set_ylabel("spread of the fits / predicted")
+    axes.set_title(f"ratios; band: 3 standard errors, {draws} fits")
 
 
 def draw_sweep(axes: Axes, sweep: Sweep, spreads: list[Spread]) -> None:
     """Draw predicted errors as lines and fits as marks, parameter by parameter."""
-    x = np.array([one.x for one in spreads])
+    x = np.array([spread.x for spread in spreads])
     for k, name in enumerate(PARAMETERS):
         colour, marker, _ = style.PARAMETERS[name]
         bound = np.array(
-            [one.bound[k] if one.identified[k] else np.nan for one in spreads]
+            [spread.bound[k] if spread.identified[k] else np.nan for spread in spreads]
         )
-        observed = np.array([one.observed[k] for one in spreads])
-        identified = np.array([one.identified.all() for one in spreads])
+        observed = np.array([spread.observed[k] for spread in spreads])
+        identified = np.array([spread.identified.all() for spread in spreads])
         axes.plot(x, 100 * bound, c=colour)
         label = style.symbol(name)
         axes.plot(
@@ -310,48 +317,50 @@ def draw_sweep(axes: Axes, sweep: Sweep, spreads: list[Spread]) -> None:
     style.plain_numbers(axes, "y")
 
 
-def say(found: Found) -> str:
-    """The answer in words."""
-    spreads = [one for _, spreads in found for one in spreads]
-    identified = np.array([one.identified.all() for one in spreads])
-    ratio = np.array([one.ratio for one in spreads])
-    beside = ~identified[:, None] & np.isfinite(ratio)
+def summarize(results: Results) -> str:
+    """The answer to the experiment's question, as sentences."""
+    spreads = [spread for _, spreads in results for spread in spreads]
+    identified = np.array([spread.identified.all() for spread in spreads])
+    ratio = np.array([spread.ratio for spread in spreads])
+    # The parameters that remain identified where another one is not.
+    others = ~identified[:, None] & np.isfinite(ratio)
     answer = (
         "Where all four parameters are identifiable, the spread of "
         f"{spreads[0].draws} fits lies on the Cramér-Rao bound: "
         f"{ratio[identified].min():.2f} to "
         f"{ratio[identified].max():.2f} of it in {ratio[identified].size} comparisons, "
         f"their mean {ratio[identified].mean():.3f}. Errors grow as the noise does; "
-        "ρ_s and f are known worst, and first lost: where too much of the highlight is "
-        f"white or out of view, {np.count_nonzero(~identified)} of {len(identified)} "
+        "ρ_s and f have the largest errors, and are lost first: where too much of the "
+        "highlight is white or out of view, "
+        f"{np.count_nonzero(~identified)} of {len(identified)} "
         "settings say that they are not identifiable."
     )
-    if beside.any():
+    if others.any():
         answer += (
-            " There the exponent roams, and a broad highlight passes for ρ_d, which no "
-            "formula at the true f knows: the prediction for ρ_d and ρ_a rests on fits "
-            f"of its own, and the spread is {ratio[beside].min():.2f} to "
-            f"{ratio[beside].max():.2f} of it."
+            " There the exponent of a fit may be anything, and a broad highlight looks "
+            "like ρ_d, which no formula at the true f describes. So ρ_d and ρ_a are "
+            "predicted from simulated fits, and the spread is "
+            f"{ratio[others].min():.2f} to {ratio[others].max():.2f} of it."
         )
     return answer
 
 
 def find(small: bool) -> Finding:
     """Measure, draw and answer."""
-    found = measure(small)
+    results = measure(small)
     rows = tuple(
         (
             sweep.name,
-            f"{one.x:.3g}",
-            *(f"{share:.2f}" if np.isfinite(share) else "–" for share in one.ratio),
+            f"{spread.x:.3g}",
+            *(f"{ratio:.2f}" if np.isfinite(ratio) else "–" for ratio in spread.ratio),
         )
-        for sweep, spreads in found
-        for one in spreads
+        for sweep, spreads in results
+        for spread in spreads
     )
     return Finding(
-        say(found),
-        {sweep.name: list(map(dataclasses.asdict, group)) for sweep, group in found},
-        draw(found),
+        summarize(results),
+        {sweep.name: list(map(dataclasses.asdict, group)) for sweep, group in results},
+        draw(results),
         "Errors of the four parameters against noise, number of photographs, "
         "resolution, clipped share, and share of the highlight seen: lines of the "
         "predicted errors, and marks of fits that lie on them.",
@@ -363,29 +372,30 @@ def find(small: bool) -> Finding:
             ),
             rows,
         ),
-        wrong=failures(found),
+        failed_checks=failures(results),
     )
 
 
-def failures(found: Found) -> tuple[str, ...]:
+def failures(results: Results) -> tuple[str, ...]:
     """Sentences on spreads that differ from their prediction by more than chance."""
-    wrong = []
-    for sweep, spreads in found:
-        for one in spreads:
-            judged = [(one.ratio, 1 - one.slack, "the prediction")]
-            if not one.identified.all():
+    failed_checks = []
+    for sweep, spreads in results:
+        for spread in spreads:
+            judged = [(spread.ratio, 1 - spread.tolerance, "the prediction")]
+            if not spread.identified.all():
                 # Without an identified exponent, fits state errors for the widest
                 # exponent that the image allows, which exceed the spread of the fits.
-                judged += [(one.pull, 0.0, "the errors that fits state")]
-            wrong += [
-                f"{sweep.name} {one.x:.3g}: {name} scatters {share:.2f} times {what}"
-                for shares, least, what in judged
-                for name, share, identified in zip(
-                    PARAMETERS, shares, one.identified, strict=True
+                judged += [(spread.pull, 0.0, "the errors that fits state")]
+            failed_checks += [
+                f"{sweep.name} {spread.x:.3g}: {name} scatters {ratio:.2f} times "
+                f"{reference}"
+                for ratios, least, reference in judged
+                for name, ratio, identified in zip(
+                    PARAMETERS, ratios, spread.identified, strict=True
                 )
-                if identified and not least <= share <= 1 + one.slack
+                if identified and not least <= ratio <= 1 + spread.tolerance
             ]
-    return tuple(wrong)
+    return tuple(failed_checks)
 
 
 EXPERIMENT = Experiment("how_well", __doc__, find)

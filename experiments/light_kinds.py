@@ -48,14 +48,14 @@ LAMPS: dict[str, pf.AbstractLight] = {
 class Result:
     """Measured values, and those of the formulas.
 
-    - `place`: distance on the floor from the point below the lamp, world units;
-    - `falloff`, `falloff_formula`: light there over that of a white floor under the
-        directional lamp, by lamp;
+    - `floor_distance`: from the point below the lamp, world units;
+    - `falloff`, `falloff_formula`: light at these distances by lamp, where 1 is a white
+        floor under the directional lamp;
     - `depth`, `contrast`, `contrast_formula`: of pixels in fog, along the view;
     - `shadow`, `shadow_formula`: area of the ball's shadow on the floor.
     """
 
-    place: np.ndarray
+    floor_distance: np.ndarray
     falloff: dict[str, np.ndarray]
     falloff_formula: dict[str, np.ndarray]
     depth: np.ndarray
@@ -65,14 +65,14 @@ class Result:
     shadow_formula: float
 
     @property
-    def off(self) -> dict[str, float]:
-        """Largest differences between what was measured and the formulas."""
-        off = {
+    def differences(self) -> dict[str, float]:
+        """Largest differences between measured values and the formulas."""
+        differences = {
             name: float(np.abs(self.falloff[name] - formula).max())
             for name, formula in self.falloff_formula.items()
         }
-        off["fog"] = float(np.abs(self.contrast - self.contrast_formula).max())
-        return off | {"shadow": abs(self.shadow / self.shadow_formula - 1)}
+        differences["fog"] = float(np.abs(self.contrast - self.contrast_formula).max())
+        return differences | {"shadow": abs(self.shadow / self.shadow_formula - 1)}
 
 
 def floor(size: float) -> pf.Mesh:
@@ -94,7 +94,7 @@ def measure(size: int) -> Result:
     camera = from_above(size)
     x, _, z = np.asarray(camera.rays().origin, float)[size // 2].T
     falloff = {
-        name: seen(pf.Scene(floor(5.0), camera, lamp), white)[size // 2]
+        name: light_of(pf.Scene(floor(5.0), camera, lamp), white)[size // 2]
         for name, lamp in LAMPS.items()
     }
     depth, contrast = fog_contrast(size)
@@ -111,20 +111,20 @@ def measure(size: int) -> Result:
     )
 
 
-def seen(scene: pf.Scene, material: pf.Material) -> np.ndarray:
+def light_of(scene: pf.Scene, material: pf.Material) -> np.ndarray:
     """Linear light of one channel, before the clamp."""
     image = pf.render(scene, material, film=pf.Film(clamp=False))
     return np.asarray(image, float)[..., 0]
 
 
-def falloff_formulas(place: np.ndarray) -> dict[str, np.ndarray]:
+def falloff_formulas(floor_distance: np.ndarray) -> dict[str, np.ndarray]:
     """Light at distances from the point below a lamp, relative to that point."""
-    cosine = HEIGHT / np.hypot(place, HEIGHT)
+    cosine = HEIGHT / np.hypot(floor_distance, HEIGHT)
     # Lambert's cosine, and its square for the inverse square of the distance.
     point = cosine**3
     inside = cosine >= np.cos(np.deg2rad(CUTOFF))
     return {
-        "directional": np.ones_like(place),
+        "directional": np.ones_like(floor_distance),
         "point": point,
         "spot": np.where(inside, point * cosine**4, 0),
     }
@@ -137,7 +137,9 @@ def fog_contrast(size: int) -> tuple[np.ndarray, np.ndarray]:
     )
     fog = pf.Fog(0.7, density=DENSITY)
     scene = pf.Scene(floor(30.0), camera, ambient=1.0, fog=fog)
-    light, dark = (seen(scene, pf.Material(0.0, 0.0, ambient=a)) for a in (1.0, 0.0))
+    light, dark = (
+        light_of(scene, pf.Material(0.0, 0.0, ambient=a)) for a in (1.0, 0.0)
+    )
     gbuffer = scene.trace()
     rows = np.asarray(gbuffer.mask)[:, size // 2]
     middle = gbuffer.position[:, size // 2]
@@ -150,7 +152,7 @@ def fog_contrast(size: int) -> tuple[np.ndarray, np.ndarray]:
 def shadow_area(size: int) -> float:
     """Area of the ball's shadow on the floor, under a sun so low that both are seen."""
     camera = from_above(size)
-    both = pf.join([floor(5.0), ball(48, RADIUS, (0, 1.4, 0))])
+    both = pf.geometry.join([floor(5.0), ball(48, RADIUS, (0, 1.4, 0))])
     scene = pf.Scene(both, camera, pf.DirectionalLight(SUN), shadows=True)
     gbuffer = scene.trace()
     assert gbuffer.visibility is not None and gbuffer.material_index is not None
@@ -165,7 +167,7 @@ def pictures(size: int) -> dict[str, pf.Scene]:
     camera = pf.PerspectiveCamera.look_at(
         (0.6, 1.9, 4.0), (0.25, 0.4, 0), width=size, height=size, fov_y=34.0
     )
-    both = pf.join([floor(60.0), ball(48, RADIUS, (0, 0.75, 0))])
+    both = pf.geometry.join([floor(60.0), ball(48, RADIUS, (0, 0.75, 0))])
     sun = pf.DirectionalLight((-0.8, 1.2, 0.6), 0.9)
     above, falling = (-0.5, 2.0, 0.8), (0, 0, 1)
     point = pf.PointLight(above, 2.5, attenuation=falling)
@@ -196,15 +198,17 @@ def draw(result: Result, size: int) -> Figure:
     figure = style.page(7.6)
     top, bottom = style.bands(figure, 5.1, 2.5)
     scenes = pictures(size)
-    places = top.subplots(2, 3).flat
-    for axes, (name, scene) in zip(places, scenes.items(), strict=True):
+    panels = top.subplots(2, 3).flat
+    for axes, (name, scene) in zip(panels, scenes.items(), strict=True):
         style.show(axes, pf.render(scene, MATERIAL, samples=4), name)
     fall, fog = bottom.subplots(1, 2)
     colours = (style.ORANGE, style.BLUE, style.VERMILION)
-    step = max(len(result.place) // 32, 1)  # about 32 markers
+    step = max(len(result.floor_distance) // 32, 1)  # about 32 markers
     for colour, marker, name in zip(colours, "s^o", LAMPS, strict=True):
-        fall.plot(result.place, result.falloff_formula[name], c=colour, label=name)
-        points = result.place[::step], result.falloff[name][::step]
+        fall.plot(
+            result.floor_distance, result.falloff_formula[name], c=colour, label=name
+        )
+        points = result.floor_distance[::step], result.falloff[name][::step]
         fall.plot(*points, marker, c=colour, mfc="none")
     fall.set_xlabel("place on the floor (world units)")
     fall.set_ylabel("light (1 below the lamp)")
@@ -225,38 +229,45 @@ def draw(result: Result, size: int) -> Figure:
 def find(small: bool) -> Finding:
     """Measure, draw and answer."""
     result = measure(64 if small else 256)
-    at = HEIGHT / 2
+    distance = HEIGHT / 2
     point, spot = (
-        float(np.interp(at, result.place, result.falloff[name]))
+        float(np.interp(distance, result.floor_distance, result.falloff[name]))
         for name in ("point", "spot")
     )
-    worst = max(off for name, off in result.off.items() if name != "shadow")
+    worst = max(
+        difference
+        for name, difference in result.differences.items()
+        if name != "shadow"
+    )
     answer = (
         "Ambient light shows an outline alone. Parallel light is the same all over a "
-        f"floor; a lamp {HEIGHT:g} above it falls off as cos³ of the angle: {at:g} to "
-        f"the side {100 * point:.0f} % are left, and of a spot of {CUTOFF:g}° "
+        f"floor; a lamp {HEIGHT:g} above it falls off as cos³ of the angle: "
+        f"{distance:g} to the side {100 * point:.0f} % are left, and of a spot of "
+        f"{CUTOFF:g}° "
         f"{100 * spot:.0f} %. Fog takes contrast as e^(−ρz), half of it in "
         f"{np.log(2) / DENSITY:.1f} units. The ball's shadow is {result.shadow:.2f} "
         f"units² large, where the formula says {result.shadow_formula:.2f}. Light and "
         f"fog differ from their formulas by {worst:.0e} at most."
     )
     # Pixels on the spot's edge and the shadow's are on one side or the other.
-    slack = {"shadow": 0.1 if small else 0.02}
-    wrong = tuple(
-        f"{name} is {off:.1e} off its formula"
-        for name, off in result.off.items()
-        if off > slack.get(name, 1e-3)
+    tolerance = {"shadow": 0.1 if small else 0.02}
+    failed_checks = tuple(
+        f"{name} is {difference:.1e} off its formula"
+        for name, difference in result.differences.items()
+        if difference > tolerance.get(name, 1e-3)
     )
-    rows = tuple((name, f"{off:.1e}") for name, off in result.off.items())
+    rows = tuple(
+        (name, f"{difference:.1e}") for name, difference in result.differences.items()
+    )
     return Finding(
         answer,
-        dataclasses.asdict(result) | {"off": result.off},
+        dataclasses.asdict(result) | {"off": result.differences},
         draw(result, 64 if small else 512),
         "A ball over a floor under ambient, directional, point and spot light, with a "
         "shadow, and in fog; how light falls off from below each lamp; how fog takes "
         "contrast with depth.",
         Table(("", "largest difference from the formula"), rows),
-        wrong=wrong,
+        failed_checks=failed_checks,
     )
 
 

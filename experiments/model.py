@@ -14,7 +14,7 @@ import phongfit as pf
 from experiments import style
 from experiments.finding import Experiment, Finding, Table
 
-SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
+FRACTIONS = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 SPECULARS = (0.25, 0.5, 0.75)
 EXPONENTS = (3.0, 5.0, 10.0, 25.0, 100.0, 200.0)
 PLASTIC, METAL = (5.0, 10.0), (100.0, 200.0)
@@ -25,18 +25,18 @@ UNCLAMPED = pf.Film(clamp=False)
 
 @dataclasses.dataclass(frozen=True)
 class Result:
-    """Light and widths, in the order of `SHARES` and `EXPONENTS`.
+    """Light and widths, in the order of `FRACTIONS` and `EXPONENTS`.
 
     `diffuse_peak` and `ambient_rise` are in units of white; `width` and `formula` the
-    angle in degrees from the highlight's centre to half its height; `bent` how far
-    light is from being proportional to ρ_d, ρ_a and ρ_s, as a share.
+    angle in degrees from the highlight's centre to half its height; `nonlinearity` the
+    largest deviation of light from being proportional to ρ_d, ρ_a or ρ_s.
     """
 
     diffuse_peak: np.ndarray
     ambient_rise: np.ndarray
     width: np.ndarray
     formula: np.ndarray
-    bent: float
+    nonlinearity: float
 
 
 def ball(size: int, ambient: float = 0.0, background: float = 0.0) -> pf.Scene:
@@ -55,14 +55,14 @@ def light(scene: pf.Scene, **parameters: float) -> np.ndarray:
 def measure(size: int) -> Result:
     """Measure everything on pictures of `size` × `size` pixels."""
     scene = ball(size, ambient=0.4)
-    diffuse = np.array([light(scene, diffuse=share) for share in SHARES])
-    ambient = np.array([light(scene, ambient=share) for share in SHARES])
+    diffuse = np.array([light(scene, diffuse=fraction) for fraction in FRACTIONS])
+    ambient = np.array([light(scene, ambient=fraction) for fraction in FRACTIONS])
     specular = np.array([light(scene, specular=s, shininess=25.0) for s in SPECULARS])
-    bent = [
-        np.abs(images - np.multiply.outer(shares, images[-1] / shares[-1])).max()
-        for images, shares in (
-            (diffuse, np.array(SHARES)),
-            (ambient, np.array(SHARES)),
+    nonlinearity = [
+        np.abs(images - np.multiply.outer(fractions, images[-1] / fractions[-1])).max()
+        for images, fractions in (
+            (diffuse, np.array(FRACTIONS)),
+            (ambient, np.array(FRACTIONS)),
             (specular, np.array(SPECULARS)),
         )
     ]
@@ -71,7 +71,7 @@ def measure(size: int) -> Result:
         ambient.max(axis=(1, 2, 3)),
         np.array([highlight_width(scene, f) for f in EXPONENTS]),
         np.rad2deg(np.arccos(0.5 ** (1 / np.array(EXPONENTS)))),
-        float(max(bent)),
+        float(max(nonlinearity)),
     )
 
 
@@ -104,10 +104,10 @@ def draw(size: int) -> Figure:
     style.picture_grid(
         top,
         [
-            [picture(diffuse=share) for share in SHARES],
-            [picture(diffuse=0.4, ambient=share) for share in SHARES],
+            [picture(diffuse=fraction) for fraction in FRACTIONS],
+            [picture(diffuse=0.4, ambient=fraction) for fraction in FRACTIONS],
         ],
-        columns=[f"{s:g}" for s in SHARES],
+        columns=[f"{s:g}" for s in FRACTIONS],
         rows=[style.symbol("diffuse"), style.symbol("ambient")],
     )
     top.suptitle("reflectances from 0 to 1")
@@ -133,8 +133,8 @@ def find(small: bool) -> Finding:
     halved = widths[100.0] / widths[25.0]
     answer = (
         "Light is proportional to each reflectance "
-        f"(to {result.bent:.0e} of white): ρ_d scales the shading, ρ_a lifts all of "
-        "the ball alike, ρ_s scales the highlight. The exponent alone sets the "
+        f"(to {result.nonlinearity:.0e} of white): ρ_d scales the shading, ρ_a lifts "
+        "all of the ball alike, ρ_s scales the highlight. The exponent alone sets the "
         f"highlight's width: from centre to half height it is {widths[5.0]:.1f}° for "
         f"plastic (f = 5) and {widths[200.0]:.1f}° for metal (f = 200). A larger f "
         f"makes it narrower; four times the exponent gives {halved:.2f} of the width."
@@ -146,12 +146,12 @@ def find(small: bool) -> Finding:
         )
     )
     # In a highlight of n pixels, about √n on its edge may or may not be counted.
-    slack = 0.25 if small else 0.05
-    off = np.abs(result.width / result.formula - 1)
-    wrong = [
-        f"f = {f:g}: the highlight's width is {100 * miss:.0f} % off the formula"
-        for f, miss in zip(EXPONENTS, off, strict=True)
-        if miss > slack
+    tolerance = 0.25 if small else 0.05
+    relative_error = np.abs(result.width / result.formula - 1)
+    failed_checks = [
+        f"f = {f:g}: the highlight's width is {100 * error:.0f} % off the formula"
+        for f, error in zip(EXPONENTS, relative_error, strict=True)
+        if error > tolerance
     ]
     return Finding(
         answer,
@@ -161,7 +161,7 @@ def find(small: bool) -> Finding:
         "and a grid in which highlights get stronger downwards and narrower to the "
         "right.",
         Table(("exponent f", "half width, measured", "acos 2^(−1/f)"), rows),
-        wrong=tuple(wrong),
+        failed_checks=tuple(failed_checks),
     )
 
 

@@ -31,7 +31,7 @@ def check_outputs(picture: Path | None, json: Path | None) -> None:
         )
 
 
-def complain(console: Console, sentences: Iterable[str]) -> None:
+def print_warnings(console: Console, sentences: Iterable[str]) -> None:
     """Print warnings and failed checks without markup, since codes are in brackets."""
     for words in sentences:
         console.print(f"  ! {words}", markup=False, highlight=False)

@@ -1,8 +1,9 @@
-"""Question: how good are normals that are found with the material?
+"""Question: how accurate are normals that are fitted with the material?
 
-Photographs under known lamps, of something whose normals are known: DiLiGenT's layout,
-or an RTI folder with an `.lp` and a `normals.png`. phongfit's normals are held against
-the truth, beside those of least squares on a matte surface from the same pixels.
+The data are photographs under known lamps of an object with known normals, in
+DiLiGenT's layout or an RTI folder with an `.lp` and a `normals.png`. phongfit's
+normals, and those of least squares for a matte surface, are compared with the truth at
+the same pixels.
 
 ??? cite "Source"
     Woodham, *Photometric method for determining surface orientation from multiple
@@ -68,8 +69,8 @@ def read(folder: Path, encoding: Encoding | None) -> Photos:
     """
     if is_diligent(folder):
         data = open_diligent(folder)
-        seen = pf.trace(data.scenes[0].surface, data.scenes[0].camera)
-        normals, mask = np.asarray(seen.normal, float), np.asarray(seen.mask)
+        gbuffer = pf.geometry.trace(data.scenes[0].surface, data.scenes[0].camera)
+        normals, mask = np.asarray(gbuffer.normal, float), np.asarray(gbuffer.mask)
         return Photos(data, normals, mask, False)
     source = folder / "Dome" if (folder / "Dome").is_dir() else folder
     truth = next((p / TRUTH for p in (source, folder) if (p / TRUTH).exists()), None)
@@ -86,7 +87,7 @@ def read(folder: Path, encoding: Encoding | None) -> Photos:
     return Photos(data, normals, mask, True)
 
 
-def some(photos: Photos, every: int) -> Photos:
+def every_nth(photos: Photos, every: int) -> Photos:
     """Keep every `every`-th photograph, from the first on."""
     data, pick = photos.photographs, slice(None, None, every)
     chosen = range(len(data.names))[pick]
@@ -109,16 +110,16 @@ def least_squares(
 ) -> Float[np.ndarray, "height width 3"]:
     """Normals of a matte surface, by the published method: from luma clipped at 1."""
     grey = np.minimum(images @ LUMA, 1)
-    found = np.einsum("dk,khw->hwd", np.linalg.pinv(directions), grey)
-    length = np.linalg.norm(found, axis=-1, keepdims=True)
-    return found / np.where(length > 0, length, 1)
+    normals = np.einsum("dk,khw->hwd", np.linalg.pinv(directions), grey)
+    length = np.linalg.norm(normals, axis=-1, keepdims=True)
+    return normals / np.where(length > 0, length, 1)
 
 
 def angles(
-    found: Float[np.ndarray, "height width 3"], photos: Photos
+    normals: Float[np.ndarray, "height width 3"], photos: Photos
 ) -> Float[np.ndarray, " pixels"]:
     """Angles of normals from the truth, degrees, at all pixels where it is known."""
-    cosine = np.sum(found * photos.truth, axis=-1)[photos.mask]
+    cosine = np.sum(normals * photos.truth, axis=-1)[photos.mask]
     return np.rad2deg(np.arccos(np.clip(cosine, -1, 1)))
 
 
@@ -165,14 +166,14 @@ def compare(
         bounds=BOUNDS,
         materials=materials,
     )
-    off = angles(maps.normals, photos)
+    degrees_off = angles(maps.normals, photos)
     errors = maps.normals_stderr[photos.mask]
     identified = np.isfinite(errors)
     numbers |= {
-        "mean_angular_error": float(off.mean()),
-        "median_angular_error": float(np.median(off)),
+        "mean_angular_error": float(degrees_off.mean()),
+        "median_angular_error": float(np.median(degrees_off)),
         "identified": float(identified.mean()),
-        "mean_angular_error_where_identified": float(off[identified].mean())
+        "mean_angular_error_where_identified": float(degrees_off[identified].mean())
         if identified.any()
         else None,
         "least_standard_error": float(errors.min()),
@@ -190,7 +191,7 @@ def _direction(scene: pf.Scene) -> np.ndarray:
 
 
 @styled
-def figure(photos: Photos, maps: pf.Maps) -> Figure:
+def draw(photos: Photos, maps: pf.Maps) -> Figure:
     """Draw true and fitted normals, the angles between them, and the stated errors."""
     drawing = page(2.6)
     panels = drawing.subplots(1, 4)
@@ -223,7 +224,7 @@ def main(
     picture: PictureFile = Path("out/photometric_stereo.png"),
     json: JsonFile = None,
 ) -> int:
-    """How good are normals that are found with the material?
+    """How accurate are normals that are fitted with the material?
 
     Prints the mean angular error of phongfit's normals, and of least squares on the
     same pixels; draws the normals and their errors.
@@ -241,14 +242,14 @@ def main(
         print(f"skipped: there is no folder {folder}")
         return 0
     check_outputs(picture, json)
-    photos = some(read(folder, parse_encoding(encoding)), every)
+    photos = every_nth(read(folder, parse_encoding(encoding)), every)
     numbers, maps = compare(photos, None if materials == "own" else materials)
     for name, number in numbers.items():
         words = re.sub("_", " ", name)
         shown = f"{number:.4g}" if isinstance(number, float) else number
         print(f"{words:<40} {shown}")
     print(maps)
-    save_picture(picture, figure(photos, maps))
+    save_picture(picture, draw(photos, maps))
     save_numbers(json, numbers)
     return 0
 

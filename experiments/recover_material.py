@@ -23,7 +23,7 @@ from experiments.output import (
     JsonFile,
     PictureFile,
     check_outputs,
-    complain,
+    print_warnings,
     save_numbers,
     save_picture,
 )
@@ -89,16 +89,16 @@ def numbers(case: Case, fit: pf.Fit) -> dict:
     """Truth, estimate and error of every unknown, and what is wrong with them."""
     truth = truth_values(case.material, fit.labels)
     deviation = np.abs(fit.values - truth)
-    wrong = [
+    failed_checks = [
         f"{label} is {off:.2g} off, {off / error:.1f} standard errors"
         for label, off, error in zip(fit.labels, deviation, fit.errors, strict=True)
         if np.isfinite(error) and off > 4 * error
     ]
     dark = not np.asarray(case.material.specular).any()
     if dark and np.isfinite(fit.errors[fit.labels.index("shininess")]):
-        wrong.append("shininess has an error bar, though there is no highlight")
+        failed_checks.append("shininess has an error bar, though there is no highlight")
     if not fit.converged:
-        wrong.append("not converged")
+        failed_checks.append("not converged")
     return {
         "name": case.name,
         "labels": list(fit.labels),
@@ -109,7 +109,7 @@ def numbers(case: Case, fit: pf.Fit) -> dict:
         "steps": fit.steps,
         "noise": fit.noise,
         "warnings": list(fit.warnings),
-        "wrong": wrong,
+        "wrong": failed_checks,
     }
 
 
@@ -177,7 +177,7 @@ def main(
         rows.append(Row(data.images[0], fit.fitted[0], fit.residuals[0], case.name))
     for result in results:
         console.print(show(result))
-        complain(console, (*result["warnings"], *result["wrong"]))
+        print_warnings(console, (*result["warnings"], *result["wrong"]))
         console.print()
     save_picture(picture, comparison(rows, blocks=2))
     save_numbers(json, results)

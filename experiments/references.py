@@ -101,7 +101,7 @@ def _opengl(name: str, record: dict[str, Any], arrays: Arrays) -> Reference:
     )
 
 
-def _opengl_camera(record: dict[str, Any]) -> pf.AbstractCamera:
+def _opengl_camera(record: dict[str, Any]) -> pf.geometry.AbstractCamera:
     projection = record["projection"]
     place = record["eye"], record["target"], record["up"]
     width, height = record["width"], record["height"]
@@ -167,13 +167,13 @@ def _raytraced(name: str, record: dict[str, Any], arrays: Arrays) -> Reference:
         material=pf.stack_materials(pf.Material(**one) for one in record["materials"]),
         film=pf.Film(bits=16),
         image=arrays["image"],
-        covered=seen(arrays["image"], np.asarray(record["background"])),
+        covered=covered_pixels(arrays["image"], np.asarray(record["background"])),
         vertex_colors=None,
         bound=2 / 255,
     )
 
 
-def seen(
+def covered_pixels(
     image: Float[np.ndarray, "height width 3"], background: Float[np.ndarray, "3"]
 ) -> Bool[np.ndarray, "height width"]:
     """Mask of the pixels whose 16-bit colour differs from the background."""

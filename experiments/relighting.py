@@ -5,10 +5,10 @@ makes them: with `Dome` and `Test` folders the first are fitted and the second
 predicted, else every sixth photograph, from the fourth on, is left out. Each is
 predicted by polynomial texture maps (6 coefficients), by hemispherical harmonics of
 orders 2 and 3 (9 and 16), which are least squares on the values as stored, and by maps:
-normals and materials per pixel, fitted to light, and the shadows that the height of the
-normals throws; or, in its place, with what the maps leave of the photographs. Printed
-is the mean over the photographs of the peak signal-to-noise ratio, in dB. Without
-folders a synthetic stand-in is made: a bumpy shiny plate that throws shadows on itself.
+normals and materials per pixel, fitted to linear light, with the shadows of the height
+field of the normals; and by maps plus interpolated residual images. The mean peak
+signal-to-noise ratio of the photographs, in dB, is printed. Without folders, a
+synthetic data set is made: a bumpy shiny plate with its own shadows.
 """
 
 import math
@@ -48,19 +48,19 @@ Folders = Annotated[
 ]
 
 
-class Lamps(NamedTuple):
-    """Photographs, each under one lamp: unit vectors, and values as stored."""
+class LitPhotographs(NamedTuple):
+    """Photographs under one lamp each: directions of lamps, and values as stored."""
 
     directions: Float[np.ndarray, "lamps 3"]
     images: Float[np.ndarray, "lamps height width 3"]
 
 
-class Photographed(NamedTuple):
+class Split(NamedTuple):
     """Photographs to fit and photographs to predict, with their encoding."""
 
     name: str
-    fitted: Lamps
-    left_out: Lamps
+    fitted: LitPhotographs
+    left_out: LitPhotographs
     encoding: Encoding
 
 
@@ -94,16 +94,19 @@ def harmonics(directions: Float[np.ndarray, "lamps 3"], order: int) -> np.ndarra
     return np.stack(columns, axis=-1)
 
 
-def regress(basis: Any, data: Photographed) -> Float[np.ndarray, "lamps h w 3"]:
+def predict_by_regression(basis: Any, data: Split) -> Float[np.ndarray, "lamps h w 3"]:
     """Predict the left-out photographs by least squares, for each pixel and channel."""
-    known, asked = basis(data.fitted.directions), basis(data.left_out.directions)
+    fitted_basis = basis(data.fitted.directions)
+    predicted_basis = basis(data.left_out.directions)
     images = data.fitted.images
-    weights, *_ = np.linalg.lstsq(known, images.reshape(len(images), -1), rcond=None)
-    return (asked @ weights).reshape(-1, *images.shape[1:])
+    weights, *_ = np.linalg.lstsq(
+        fitted_basis, images.reshape(len(images), -1), rcond=None
+    )
+    return (predicted_basis @ weights).reshape(-1, *images.shape[1:])
 
 
-def mapped(
-    data: Photographed,
+def predict_by_maps(
+    data: Split,
     loss: LossName = "cauchy",
     fov: float | None = None,
     passes: int = 1,
@@ -134,22 +137,22 @@ def mapped(
     }
 
 
-REGRESSIONS: dict[str, Callable[[Photographed], np.ndarray]] = {
-    "PTM": lambda data: regress(polynomials, data),
-    "HSH 2": lambda data: regress(lambda d: harmonics(d, 2), data),
-    "HSH 3": lambda data: regress(lambda d: harmonics(d, 3), data),
+REGRESSIONS: dict[str, Callable[[Split], np.ndarray]] = {
+    "PTM": lambda data: predict_by_regression(polynomials, data),
+    "HSH 2": lambda data: predict_by_regression(lambda d: harmonics(d, 2), data),
+    "HSH 3": lambda data: predict_by_regression(lambda d: harmonics(d, 3), data),
 }
 
 MAPS, BOTH = "maps", "maps, photographs"
 
 
-def ratio(shown: np.ndarray, wanted: np.ndarray) -> float:
+def psnr(predicted: np.ndarray, true: np.ndarray) -> float:
     """Peak signal-to-noise ratio of values in [0, 1], dB."""
-    off = float(np.mean((np.clip(shown, 0, 1) - wanted) ** 2))
-    return 10 * math.log10(1 / max(off, 1e-12))
+    mean_square = float(np.mean((np.clip(predicted, 0, 1) - true) ** 2))
+    return 10 * math.log10(1 / max(mean_square, 1e-12))
 
 
-def read_lamps(folder: Path) -> Lamps:
+def read_photographs(folder: Path) -> LitPhotographs:
     """A folder's photographs, in the order of its list.
 
     The count in a list's first line may be wrong, so it is not read. Lines whose
@@ -166,33 +169,35 @@ def read_lamps(folder: Path) -> Lamps:
         if len(words) == 4:
             names.append(base_name(words[0]))
             vectors.append([float(word) for word in words[1:]])
-    there = [at for at, name in enumerate(names) if (folder / name).is_file()]
-    if not there:
+    present = [at for at, name in enumerate(names) if (folder / name).is_file()]
+    if not present:
         raise ValueError(f"{folder}: expected photographs that {lists[0].name} names")
-    paths = [folder / names[at] for at in there]
-    directions = np.array(vectors)[there]
+    paths = [folder / names[at] for at in present]
+    directions = np.array(vectors)[present]
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     # Values as stored: linear leaves them as they are.
     images = [np.asarray(pf.read_image(path, "linear")) for path in paths]
-    return Lamps(directions, np.stack(images))
+    return LitPhotographs(directions, np.stack(images))
 
 
-def read(folder: Path) -> Photographed:
+def read(folder: Path) -> Split:
     """Read a folder: the photographs to fit, and those left out."""
     if (folder / "Dome").is_dir() and (folder / "Test").is_dir():
-        parts = read_lamps(folder / "Dome"), read_lamps(folder / "Test")
-        return Photographed(folder.name, *parts, "srgb")
-    every = read_lamps(folder)
-    left = np.zeros(len(every.directions), bool)
-    left[3::6] = True
-    return Photographed(folder.name, _some(every, ~left), _some(every, left), "srgb")
+        parts = read_photographs(folder / "Dome"), read_photographs(folder / "Test")
+        return Split(folder.name, *parts, "srgb")
+    every = read_photographs(folder)
+    is_left_out = np.zeros(len(every.directions), bool)
+    is_left_out[3::6] = True
+    return Split(
+        folder.name, _select(every, ~is_left_out), _select(every, is_left_out), "srgb"
+    )
 
 
-def _some(lamps: Lamps, which: Any) -> Lamps:
-    return Lamps(lamps.directions[which], lamps.images[which])
+def _select(photographs: LitPhotographs, which: Any) -> LitPhotographs:
+    return LitPhotographs(photographs.directions[which], photographs.images[which])
 
 
-def stand_in(size: int) -> Photographed:
+def synthetic_plate(size: int) -> Split:
     """A bumpy, shiny plate with its own shadows, rendered as sRGB of 8 bits."""
     y, x = (np.mgrid[:size, :size] + 0.5) / size
     height = 0.05 * size * np.sin(9 * x) * np.sin(11 * y)
@@ -200,7 +205,7 @@ def stand_in(size: int) -> Photographed:
     down, right = np.gradient(height)
     normals = np.stack([-right, down, np.ones_like(x)], axis=-1)
     camera = pf.OrthographicCamera(size, size, view_height=float(size))
-    surface = pf.HeightField(height, np.ones((size, size), int), camera)
+    surface = pf.geometry.HeightField(height, np.ones((size, size), int), camera)
     checks = (np.floor(8 * x) + np.floor(8 * y)) % 2
     diffuse = np.where(checks[..., None] > 0, [0.5, 0.3, 0.2], [0.25, 0.35, 0.5])
     material = pf.Material(diffuse, 0.35, 30.0 + 30 * x[..., None], 0.0)
@@ -212,25 +217,25 @@ def stand_in(size: int) -> Photographed:
     images = []
     for direction in directions[order]:
         light = pf.DirectionalLight(direction)
-        (shadow,) = pf.cast_shadows(height, camera, [light])
+        (shadow,) = pf.geometry.cast_shadows(height, camera, [light])
         lit = pf.render(pf.Scene(shape, camera, light), material, film=film)
         images.append(np.where(shadow[..., None], 0, np.asarray(lit)))
-    whole = Lamps(directions[order], np.stack(images))
-    parts = _some(whole, slice(LAMPS)), _some(whole, slice(LAMPS, None))
-    return Photographed("stand-in", *parts, "srgb")
+    whole = LitPhotographs(directions[order], np.stack(images))
+    parts = _select(whole, slice(LAMPS)), _select(whole, slice(LAMPS, None))
+    return Split("stand-in", *parts, "srgb")
 
 
-def draw(data: Photographed, shown: dict[str, np.ndarray]) -> Figure:
+def draw(data: Split, predictions: dict[str, np.ndarray]) -> Figure:
     """Draw the left-out photograph with the lowest lamp, and all predictions of it."""
     lowest = int(np.argmin(data.left_out.directions[:, 2]))
-    pictures = {"photograph": data.left_out.images} | shown
+    pictures = {"photograph": data.left_out.images} | predictions
     figure = Figure(figsize=(3 * len(pictures), 3.4), layout="constrained")
     for axes, (name, images) in zip(
         figure.subplots(1, len(pictures)), pictures.items(), strict=True
     ):
         axes.imshow(np.clip(images[lowest], 0, 1))
         axes.set_axis_off()
-        suffix = "" if name == "photograph" else f", {_mean(images, data):.1f} dB"
+        suffix = "" if name == "photograph" else f", {_mean_psnr(images, data):.1f} dB"
         axes.set_title(f"{name}{suffix}")
     figure.suptitle(
         f"{data.name}: the lowest left-out lamp; dB: mean of all left-out photographs"
@@ -238,9 +243,9 @@ def draw(data: Photographed, shown: dict[str, np.ndarray]) -> Figure:
     return figure
 
 
-def _mean(images: np.ndarray, data: Photographed) -> float:
+def _mean_psnr(images: np.ndarray, data: Split) -> float:
     pairs = zip(images, data.left_out.images, strict=True)
-    return float(np.mean([ratio(a, b) for a, b in pairs]))
+    return float(np.mean([psnr(a, b) for a, b in pairs]))
 
 
 def main(
@@ -263,27 +268,30 @@ def main(
         fov: The camera's angle of view, from the lower to the upper edge. Default:
             parallel rays.
         passes: Passes of the maps' fit; all but the first leave out samples in shadow.
-        small: A small stand-in, where no folder is given.
+        small: A small synthetic data set, where no folder is given.
         picture: The figure to write, for the first folder.
         json: The table as JSON.
     """
     check_outputs(picture, json)
-    sets = [read(folder) for folder in folders] or [stand_in(SMALL if small else SIZE)]
+    sets = [read(folder) for folder in folders]
+    sets = sets or [synthetic_plate(SMALL if small else SIZE)]
     console, table = Console(), Table(title="Mean PSNR of left-out lamps, dB")
     for column in ("set", *REGRESSIONS, MAPS, BOTH):
         table.add_column(column, justify="left" if column == "set" else "right")
     numbers: dict[str, dict[str, float]] = {}
     for at, data in enumerate(sets):
-        shown = {}
+        predictions = {}
         for name, method in REGRESSIONS.items():
             with console.status(f"{data.name}: {name}"):
-                shown[name] = method(data)
+                predictions[name] = method(data)
         with console.status(f"{data.name}: {MAPS}"):
-            shown |= mapped(data, loss, fov, passes)
-        numbers[data.name] = {name: _mean(shown[name], data) for name in shown}
+            predictions |= predict_by_maps(data, loss, fov, passes)
+        numbers[data.name] = {
+            name: _mean_psnr(predictions[name], data) for name in predictions
+        }
         table.add_row(data.name, *(f"{v:.2f}" for v in numbers[data.name].values()))
         if at == 0:
-            save_picture(picture, draw(data, shown))
+            save_picture(picture, draw(data, predictions))
     console.print(table)
     save_numbers(json, numbers)
     return 0

@@ -21,7 +21,7 @@ from experiments import style
 from experiments.balls import unit_ball
 from experiments.finding import Experiment, Finding, Table
 
-METHODS: dict[str, pf.AbstractShading] = {
+METHODS: dict[str, pf.geometry.AbstractShading] = {
     "flat": pf.FlatShading(),
     "Gouraud": pf.GouraudShading(),
     "Phong": pf.PhongShading(),
@@ -63,7 +63,7 @@ class Result:
         method; `value_jump`: the same of the light itself;
     - `seconds`: for an image, by method, for each of `TIMED`; `trace`: for its
         geometry;
-    - `enough`: edge over half width where Gouraud's loss is `GOOD`, by exponent.
+    - `fine_enough`: edge over half width where Gouraud's loss is `GOOD`, by exponent.
     """
 
     edge: np.ndarray
@@ -74,13 +74,13 @@ class Result:
     value_jump: dict[str, np.ndarray]
     seconds: dict[str, np.ndarray]
     trace: float
-    enough: np.ndarray
+    fine_enough: np.ndarray
 
 
 def ball(
     rows: int,
     method: str,
-    camera: pf.AbstractCamera,
+    camera: pf.geometry.AbstractCamera,
     direction: Any,
     background: float = 0.0,
 ) -> pf.Scene:
@@ -107,7 +107,7 @@ def measure(size: Size) -> Result:
     jumps = [edge_jumps(rows, size.pixels) for rows in ROWS]
     peak = by_method(highlights, 0)
     peak_loss = 1 - peak["Gouraud"].mean(axis=-1)
-    enough = [
+    fine_enough = [
         crossing(edge / width, losses, GOOD)
         for width, losses in zip(half_width, peak_loss.T, strict=True)
     ]
@@ -121,7 +121,7 @@ def measure(size: Size) -> Result:
         value_jump=by_method(jumps, 1),
         seconds=seconds,
         trace=trace,
-        enough=np.array(enough),
+        fine_enough=np.array(fine_enough),
     )
 
 
@@ -130,7 +130,7 @@ def highlight(rows: int, size: Size) -> dict[str, tuple[np.ndarray, np.ndarray]]
     camera = pf.OrthographicCamera(size.pixels, size.pixels, view_height=2.1)
     directions = spread_directions(size.lamps)
     gbuffer = ball(rows, "Phong", camera, directions[0]).trace()
-    found = {}
+    measured = {}
     for name in METHODS:
         images = np.array(
             [
@@ -147,9 +147,9 @@ def highlight(rows: int, size: Size) -> dict[str, tuple[np.ndarray, np.ndarray]]
             ],
             float,
         )
-        found[name] = images.max(axis=(2, 3)), images.sum(axis=(2, 3))
-    peak, energy = found["Phong"]
-    return {name: (p / peak, e / energy) for name, (p, e) in found.items()}
+        measured[name] = images.max(axis=(2, 3)), images.sum(axis=(2, 3))
+    peak, energy = measured["Phong"]
+    return {name: (p / peak, e / energy) for name, (p, e) in measured.items()}
 
 
 def edge_jumps(rows: int, pixels: int) -> dict[str, tuple[float, float]]:
@@ -165,7 +165,7 @@ def edge_jumps(rows: int, pixels: int) -> dict[str, tuple[float, float]]:
     a, b, c, d = (face[:, k : face.shape[1] - 3 + k] for k in range(4))
     meet = (a == b) & (c == d) & (b != c)
     pixel = 1.0 / pixels
-    found = {}
+    measured = {}
     for name in METHODS:
         image = pf.render(
             ball(rows, name, near, lamp),
@@ -177,8 +177,8 @@ def edge_jumps(rows: int, pixels: int) -> dict[str, tuple[float, float]]:
         slope = (step[:, 2:] - step[:, :-2])[meet] / pixel
         # Minus the mean change within the two faces, which the slopes cause.
         value = (step[:, 1:-1] - (step[:, 2:] + step[:, :-2]) / 2)[meet]
-        found[name] = rms(slope), rms(value)
-    return found
+        measured[name] = rms(slope), rms(value)
+    return measured
 
 
 def rms(values: np.ndarray) -> float:
@@ -195,8 +195,8 @@ def crossing(x: np.ndarray, y: np.ndarray, level: float) -> float:
         return float("nan")
     k = above[0]
     ends = np.log(y[k - 1 : k + 1])
-    share = (np.log(level) - ends[0]) / (ends[1] - ends[0])
-    return float(np.exp((1 - share) * np.log(x[k - 1]) + share * np.log(x[k])))
+    fraction = (np.log(level) - ends[0]) / (ends[1] - ends[0])
+    return float(np.exp((1 - fraction) * np.log(x[k - 1]) + fraction * np.log(x[k])))
 
 
 def costs(size: Size) -> tuple[dict[str, np.ndarray], float]:
@@ -317,12 +317,12 @@ def rows_of(result: Result) -> tuple[tuple[str, ...], ...]:
     )
 
 
-def say(result: Result) -> str:
-    """The answer in words."""
+def summarize(result: Result) -> str:
+    """The answer to the experiment's question, as sentences."""
     first, last = result.peak["Gouraud"][[0, -1], 1]
     ratio = {name: result.seconds[name] / result.seconds["Phong"] for name in METHODS}
-    enough = float(np.nanmean(result.enough))
-    wanted = 4 * np.ceil(180 / (enough * result.half_width)) ** 2
+    fine_enough = float(np.nanmean(result.fine_enough))
+    wanted = 4 * np.ceil(180 / (fine_enough * result.half_width)) ** 2
     meshes = ", ".join(
         f"{n:.0f} triangles for f = {f:g}"
         for n, f in zip(wanted, EXPONENTS, strict=True)
@@ -335,7 +335,7 @@ def say(result: Result) -> str:
         f"{100 * first.mean():.0f} % on {4 * ROWS[0] ** 2} triangles and "
         f"{100 * last.mean():.1f} % on {4 * ROWS[-1] ** 2}. Gouraud is good enough "
         f"(at most {100 * GOOD:.0f} % of the peak lost, on average over lamps) where "
-        f"the mesh's edges are shorter than {enough:.2f} of the highlight's half "
+        f"the mesh's edges are shorter than {fine_enough:.2f} of the highlight's half "
         f"width: a ball of {meshes}. The highlight's energy it keeps sooner: "
         f"{100 * energy[0]:.0f} % on {4 * ROWS[0] ** 2} triangles, "
         f"{100 * energy[1]:.0f} % on {4 * ROWS[1] ** 2}. From face to face the slope "
@@ -354,14 +354,16 @@ def find(small: bool) -> Finding:
     kept = result.peak["Gouraud"].mean(axis=-1)
     falls = np.all(np.diff(kept, axis=0) > -0.02) and np.all(kept[-1] > kept[0])
     return Finding(
-        say(result),
+        summarize(result),
         dataclasses.asdict(result),
         draw(result, 96 if small else 256),
         "Balls of 144 to 36864 triangles with flat, Gouraud and Phong shading; curves "
         "of what highlights lose against the length of the mesh's edges, and of the "
         "jump of the slope across edges.",
         Table(COLUMNS, rows_of(result)),
-        wrong=() if falls else ("Gouraud's loss does not fall with finer meshes",),
+        failed_checks=()
+        if falls
+        else ("Gouraud's loss does not fall with finer meshes",),
     )
 
 

@@ -1,12 +1,12 @@
-"""Question: are the error bars right, and is the least cost found?
+"""Question: are the error bars right, and do fits find the least cost?
 
-Three answers, each by brute force:
+Three tests by brute force:
 
 - many noisy images of one scene: the spread of the estimates over the Cramér-Rao bound,
-  and how often a 95 % interval holds the truth;
-- the same where the bound of another unknown binds in half of the draws;
-- many random problems: the cost that a fit ends at, against the best that many random
-  starts of the same solver find.
+  and how often a 95 % interval contains the truth;
+- these statistics where another unknown is on its bound in half of the draws;
+- many random problems: the final cost of a fit, against the lowest one from many random
+  starts of the same solver.
 
 The exit status is 1 if a ratio leaves [0.95, 1.05], a share of intervals leaves
 93.5-96.5 %, or a fit's cost lies more than 1e-4 above the best. Fewer draws are judged
@@ -60,18 +60,22 @@ class Spread:
     one_sided: np.ndarray
     draws: int
 
-    def wrong(self) -> list[str]:
+    def failed_checks(self) -> list[str]:
         """Parameters whose error bars are off by more than chance allows."""
         # From n draws, a spread has the relative error 1/√(2n), a share p has the error
         # √(p (1 − p) / n).
-        slack = max(0.05, 4 / np.sqrt(2 * self.draws))
-        edge = max(0.015, 4 * np.sqrt(LEVEL * (1 - LEVEL) / self.draws))
-        wide = (self.ratio < 1 - slack) & ~self.one_sided
-        off = wide | (self.ratio > 1 + slack) | (np.abs(self.coverage - LEVEL) > edge)
-        return [label for label, bad in zip(self.labels, off, strict=True) if bad]
+        tolerance = max(0.05, 4 / np.sqrt(2 * self.draws))
+        coverage_tolerance = max(0.015, 4 * np.sqrt(LEVEL * (1 - LEVEL) / self.draws))
+        too_wide = (self.ratio < 1 - tolerance) & ~self.one_sided
+        too_narrow = self.ratio > 1 + tolerance
+        wrong_coverage = np.abs(self.coverage - LEVEL) > coverage_tolerance
+        failed = too_wide | too_narrow | wrong_coverage
+        return [label for label, bad in zip(self.labels, failed, strict=True) if bad]
 
 
-def spread(material: pf.Material, draws: int, seed: int, console: Console) -> Spread:
+def measure_spread(
+    material: pf.Material, draws: int, seed: int, console: Console
+) -> Spread:
     """Fit noisy images of one scene, and compare the deviations with the stated errors.
 
     The ratio is the root mean square of the deviations over the predicted standard
@@ -85,7 +89,7 @@ def spread(material: pf.Material, draws: int, seed: int, console: Console) -> Sp
     light = np.asarray(pf.render(scene, material, film=pf.Film(clamp=False)), float)
     rng = np.random.default_rng(seed)
     truth = predicted.values
-    pulls, inside, deviations = [], [], []
+    pulls, covered, deviations = [], [], []
     one_sided = np.zeros(len(predicted.labels), bool)
     for _ in track(
         range(draws), "draws", console=console, disable=not console.is_terminal
@@ -97,12 +101,12 @@ def spread(material: pf.Material, draws: int, seed: int, console: Console) -> Sp
         low, high = fit.intervals(LEVEL).T
         deviations.append((fit.values - truth)[free])
         pulls.append(deviations[-1] / fit.errors[free])
-        inside.append(((low <= truth) & (truth <= high))[free])
+        covered.append(((low <= truth) & (truth <= high))[free])
     ratio = np.sqrt(np.mean(np.square(pulls), axis=0))
     if free.all():
         ratio = np.sqrt(np.mean(np.square(deviations), axis=0)) / predicted.errors
     labels = tuple(np.array(predicted.labels)[free])
-    return Spread(labels, ratio, np.mean(inside, axis=0), one_sided[free], draws)
+    return Spread(labels, ratio, np.mean(covered, axis=0), one_sided[free], draws)
 
 
 def random_problem(seed: int) -> tuple[pf.Scene, np.ndarray]:
@@ -146,11 +150,11 @@ def random_problem(seed: int) -> tuple[pf.Scene, np.ndarray]:
 
 
 @eqx.filter_jit
-def _ends(problem: Problem, starts: jnp.ndarray) -> Solution:
+def _solve_all(problem: Problem, starts: jnp.ndarray) -> Solution:
     return eqx.filter_vmap(lambda start: solve(problem, start, 100))(starts)
 
 
-def excess(seed: int, starts: int) -> float:
+def excess_cost(seed: int, starts: int) -> float:
     """Excess of a fit's cost over the best of random starts, relative to it."""
     scene, image = random_problem(seed)
     fit = pf.fit(scene, image)
@@ -158,23 +162,25 @@ def excess(seed: int, starts: int) -> float:
     low, high = np.asarray(unknowns.lower), np.asarray(unknowns.upper)
     rng = np.random.default_rng(seed)
     points = low + (high - low) * rng.random((starts, len(low)))
-    ends = _ends(problem, jnp.asarray(points.astype(low.dtype)))
+    ends = _solve_all(problem, jnp.asarray(points.astype(low.dtype)))
     costs = np.where(np.isfinite(ends.cost), ends.cost, np.inf)
     best = total_cost(problem, ends.y[int(np.argmin(costs))])
     return (total_cost(problem, fit.solution.y) - best) / best
 
 
-def show(title: str, found: Spread) -> Table:
+def show(title: str, spread: Spread) -> Table:
     """Spread over bound and share of intervals, parameter by parameter."""
-    table = Table(title=f"{title}, {found.draws} draws", title_justify="left")
+    table = Table(title=f"{title}, {spread.draws} draws", title_justify="left")
     table.add_column("")
     table.add_column("RMSE / error", justify="right")
     table.add_column(f"truth in {LEVEL:.0%} interval", justify="right")
     table.add_column("error")
-    rows = zip(found.labels, found.ratio, found.coverage, found.one_sided, strict=True)
-    for label, ratio, share, one_sided in rows:
+    rows = zip(
+        spread.labels, spread.ratio, spread.coverage, spread.one_sided, strict=True
+    )
+    for label, ratio, coverage, one_sided in rows:
         word = "one-sided" if one_sided else ""
-        table.add_row(label, f"{ratio:.3f}", f"{share:.2%}", word)
+        table.add_row(label, f"{ratio:.3f}", f"{coverage:.2%}", word)
     return table
 
 
@@ -201,15 +207,15 @@ def main(
         raise ValueError("draws, starts: expected whole numbers ≥ 1")
     check_outputs(None, json)
     console = Console()
-    numbers, wrong = {}, []
+    numbers, failed_checks = {}, []
     for title, material in (("all free", TRUTH), ("a bound binds", BOUND)):
-        found = spread(material, draws, seed, console)
-        console.print(show(title, found))
-        wrong += [f"{title}: {label}" for label in found.wrong()]
-        numbers[title] = dataclasses.asdict(found)
+        spread = measure_spread(material, draws, seed, console)
+        console.print(show(title, spread))
+        failed_checks += [f"{title}: {label}" for label in spread.failed_checks()]
+        numbers[title] = dataclasses.asdict(spread)
     if problems:
-        above = [
-            excess(seed + k, starts)
+        excesses = [
+            excess_cost(seed + k, starts)
             for k in track(
                 range(problems),
                 "problems",
@@ -217,17 +223,21 @@ def main(
                 disable=not console.is_terminal,
             )
         ]
-        missed = [seed + k for k, share in enumerate(above) if share > 1e-4]
+        missed = [seed + k for k, excess in enumerate(excesses) if excess > 1e-4]
         console.print(
             f"{problems} random problems, {starts} random starts each: the fit's cost "
-            f"is at most {max(above):.1e} above the best, {len(missed)} by more than "
-            f"1e-4{f' (seeds {missed})' if missed else ''}"
+            f"is at most {max(excesses):.1e} above the best, {len(missed)} by more "
+            f"than 1e-4{f' (seeds {missed})' if missed else ''}"
         )
-        wrong += [f"problem {k} misses the least cost" for k in missed]
-        numbers["global"] = {"excess": above, "starts": starts}
+        failed_checks += [f"problem {k} misses the least cost" for k in missed]
+        numbers["global"] = {"excess": excesses, "starts": starts}
     save_numbers(json, numbers)
-    console.print(f"FAILED: {'; '.join(wrong)}" if wrong else "all as it should be")
-    return 1 if wrong else 0
+    console.print(
+        f"FAILED: {'; '.join(failed_checks)}"
+        if failed_checks
+        else "all as it should be"
+    )
+    return 1 if failed_checks else 0
 
 
 if __name__ == "__main__":

@@ -93,9 +93,9 @@ def picture_grid(
     """
     axes = figure.subplots(len(images), len(images[0]), squeeze=False)
     for line, row, name in zip(axes, images, rows, strict=True):
-        for one, image in zip(line, row, strict=True):
-            show(one, image)
+        for panel, image in zip(line, row, strict=True):
+            show(panel, image)
         line[0].set_ylabel(name)
-    for one, name in zip(axes[0], columns, strict=True):
-        one.set_title(name)
+    for panel, name in zip(axes[0], columns, strict=True):
+        panel.set_title(name)
     return axes

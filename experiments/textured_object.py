@@ -1,17 +1,17 @@
 """`python -m experiments.textured_object`: are fitted texels within their errors?
 
-A vase of two materials, its diffuse texture checkered with some chance in it, is
-photographed from eight places under two lamps each: 1 % noise, 8 bits. `fit_texture`
-finds the texels, and of each material ρ_s and f. Asked are
+A vase of two materials, whose diffuse texture has checks and noise, is photographed
+from eight places under two lamps each: 1 % noise, 8 bits. `fit_texture` fits the
+texels, and ρ_s and f of each material. The criteria are
 
-- texels seen at least three times: (found − true) / error has an RMS of 0.9 … 1.1;
+- texels seen at least three times: (value − true) / error has an RMS of 0.9 … 1.1;
 - ρ_s and f lie within four standard errors of the truth;
 - a photograph from a ninth place, under a third lamp, is predicted to 1.1 times its
   noise.
 
 With `--disk FOLDER` all data pass through files: the mesh as `.glb`, photographs as
 sRGB `.png`, cameras as COLMAP's text files, lamps as an `.lp`; `phongfit scene` and
-`phongfit fit` make textures and a mesh of them, and these files are what is judged.
+`phongfit fit` make textures and a mesh of them, and the criteria apply to these files.
 
 Result, x86-64 with two busy cores, November 2026, float32, `--full` (256 × 256 texels,
 16 photographs of 400 × 400 pixels): all 65 536 texels identified and seen three times,
@@ -20,8 +20,8 @@ and 0.9 GB. By default (48 × 48, 80 × 80): 1.000, 1.7 errors, 1.027;
 through files 1.002, 1.6 errors, 1.021. `--full` through files: 1.013, 2.2 errors,
 1.031, 26 s, 1.1 GB.
 
-`--large` (2048 × 2048 texels, 20 photographs of 2 megapixels) asks for ρ_s, f and how
-much memory the fit takes, which is to be less than 4 GB: 3.70 GB, 46 min of processor
+`--large` (2048 × 2048 texels, 20 photographs of 2 megapixels) checks ρ_s and f, and
+that the fit takes less than 4 GB: 3.70 GB, 46 min of processor
 time (with probes of errors to 1e-3; they are to 1e-2 now, which takes less), ρ_s and f
 within 0.8 errors. A texel has some four samples, so that the ninth place is predicted
 to 1.26 times its noise. Among 54 million samples, those in shadow were off by 5.6 σ,
@@ -48,10 +48,11 @@ from scipy.spatial.transform import Rotation
 import phongfit as pf
 from phongfit.cli import main as phongfit, run
 from phongfit.files.outputs import check_file, write_json
+from phongfit.fitting.texels.result import TextureFit
 
 NOISE = 0.01
-MOST = 4.0
-"""GB that a fit of 2048 × 2048 texels may take."""
+MAX_GIGABYTES = 4.0
+"""Memory in GB that a fit of 2048 × 2048 texels may take."""
 
 
 class Size(NamedTuple):
@@ -81,7 +82,7 @@ def vase(around: int, along: int) -> pf.Mesh:
     b, c, d = a + around + 1, a + around + 2, a + 1
     # u runs to the left seen from outside, and v down.
     faces = np.concatenate([np.stack([a, c, b], 1), np.stack([a, d, c], 1)])
-    places = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    uv = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
     # The seam is smooth: normals are those of the closed surface.
     slope = np.gradient(radius, v)[:, None, None]
     fall = np.gradient((1 - 2 * v) * 0.9, v)[:, None, None]
@@ -91,7 +92,7 @@ def vase(around: int, along: int) -> pf.Mesh:
         faces,
         normals.reshape(-1, 3),
         (np.concatenate([row, row]) >= along // 2).astype(int),
-        uv=places[faces],
+        uv=uv[faces],
     )
 
 
@@ -100,8 +101,8 @@ def checkered(texels: int, seed: int = 0) -> np.ndarray:
     squares = np.indices((texels, texels)) // max(texels // 12, 1)
     even = (squares.sum(axis=0) % 2)[..., None]
     colour = np.where(even, [0.7, 0.55, 0.3], [0.15, 0.25, 0.45])
-    chance = np.random.default_rng(seed).normal(0, 0.04, colour.shape)
-    return np.clip(colour + chance, 0.02, 0.95)
+    noise = np.random.default_rng(seed).normal(0, 0.04, colour.shape)
+    return np.clip(colour + noise, 0.02, 0.95)
 
 
 TRUTH = pf.Material(
@@ -127,11 +128,11 @@ def view(
     camera = pf.PerspectiveCamera.look_at(
         place, width=pixels, height=pixels, fov_y=32.0
     )
-    made = []
-    for k, aside in enumerate(lamps):
-        lamp = np.cos(angle + aside), 0.5 - 0.6 * k, np.sin(angle + aside)
-        made.append(pf.Scene(mesh, camera, pf.DirectionalLight(lamp, 1.1)))
-    return made
+    scenes = []
+    for k, lamp_angle in enumerate(lamps):
+        lamp = np.cos(angle + lamp_angle), 0.5 - 0.6 * k, np.sin(angle + lamp_angle)
+        scenes.append(pf.Scene(mesh, camera, pf.DirectionalLight(lamp, 1.1)))
+    return scenes
 
 
 def photograph(
@@ -143,19 +144,19 @@ def photograph(
     return np.asarray(pf.Film(bits=bits).expose(light))
 
 
-class Answer(NamedTuple):
+class Accuracy(NamedTuple):
     """Accuracy of a fit.
 
-    - `pulls`: RMS of (found − true) / error of the texels seen three times or more.
+    - `pulls`: RMS of (value − true) / error of the texels seen three times or more.
     - `texels`: number of these texels, and of all.
-    - `few`: of ρ_s and f: label, value, error, and the distance to the truth in errors.
+    - `shared`: label, value, error and (value − true) / error of each ρ_s and f.
     - `predicted`: RMS residual of the ninth photograph, over its noise.
     - `seconds`, `memory`: of the fit, and GB at the most until it ended.
     """
 
     pulls: float
     texels: tuple[int, int]
-    few: list[tuple[str, float, float, float]]
+    shared: list[tuple[str, float, float, float]]
     predicted: float
     seconds: float
     memory: float
@@ -163,7 +164,7 @@ class Answer(NamedTuple):
     @property
     def shared_right(self) -> bool:
         """Whether ρ_s and f are within four standard errors of the truth."""
-        return all(abs(pull) < 4 for _, _, _, pull in self.few)
+        return all(abs(pull) < 4 for _, _, _, pull in self.shared)
 
     @property
     def right(self) -> bool:
@@ -171,24 +172,24 @@ class Answer(NamedTuple):
         return self.shared_right and 0.9 <= self.pulls <= 1.1 and self.predicted <= 1.1
 
 
-class Found(NamedTuple):
+class TextureResult(NamedTuple):
     """Result of a fit: texels, their errors, and the number of pixels that see each.
 
-    `few` has label, value and error of what a material shares; `painted` is the mesh
-    with its textures, which multiply `material`.
+    `shared` has label, value and error of each ρ_s and f; `painted` is the mesh with
+    its textures, which multiply `material`.
     """
 
     values: np.ndarray
     errors: np.ndarray
     seen: np.ndarray
-    few: list[tuple[str, float, float]]
+    shared: list[tuple[str, float, float]]
     painted: pf.Mesh
     material: pf.Material
 
 
 def fit_texels(
     scenes: list[pf.Scene], images: list[np.ndarray], size: Size
-) -> pf.TextureFit:
+) -> TextureFit:
     """Fit diffuse texels, and ρ_s and f of each material."""
     return pf.fit_texture(
         scenes,
@@ -202,7 +203,7 @@ def fit_texels(
 
 def fit_in_memory(
     mesh: pf.Mesh, size: Size, images: list[np.ndarray], folder: Path | None
-) -> Found:
+) -> TextureResult:
     """Fit the texture by `fit_texture`."""
     del folder
     scenes = views(mesh, size)
@@ -210,7 +211,7 @@ def fit_in_memory(
     print(fit)
     painted = fit.scene(scenes[0]).surface
     assert isinstance(painted, pf.Mesh)
-    return Found(
+    return TextureResult(
         fit.values["diffuse"][0],
         fit.stderr["diffuse"][0],
         fit.seen[0],
@@ -222,7 +223,7 @@ def fit_in_memory(
 
 def fit_on_disk(
     mesh: pf.Mesh, size: Size, images: list[np.ndarray], folder: Path | None
-) -> Found:
+) -> TextureResult:
     """Fit the texture by `phongfit scene` and `phongfit fit`, through files."""
     assert folder is not None
     photos, model, out = (folder / name for name in ("photos", "sparse", "fit"))
@@ -241,44 +242,58 @@ def fit_on_disk(
     pf.write_lp(folder / "vase.lp", names, np.stack(lamps))
     write_colmap(model, names, [scene.camera for scene in scenes])
     texels = str(size.texels)
-    given = ["--mesh", folder / "vase.glb", "--cameras", model, "--encoding", "srgb"]
-    lit = ["--lights", folder / "vase.lp", "--intensity", "1.1", "--ambient", "0"]
-    asked = ["--unknowns", "diffuse.texture", "specular", "shininess"]
-    asked += ["--per-channel", "diffuse", "--texture-size", texels, texels]
-    _run("scene", photos, *given, *lit)
-    _run("fit", photos, "-o", out, *asked)
+    scene_options = [
+        "--mesh",
+        folder / "vase.glb",
+        "--cameras",
+        model,
+        "--encoding",
+        "srgb",
+    ]
+    light_options = [
+        "--lights",
+        folder / "vase.lp",
+        "--intensity",
+        "1.1",
+        "--ambient",
+        "0",
+    ]
+    fit_options = ["--unknowns", "diffuse.texture", "specular", "shininess"]
+    fit_options += ["--per-channel", "diffuse", "--texture-size", texels, texels]
+    _run("scene", photos, *scene_options, *light_options)
+    _run("fit", photos, "-o", out, *fit_options)
     arrays = np.load(out / "textures.npz")
     record = json.loads((out / "textures.json").read_text())
-    few = zip(record["labels"], record["values"], record["errors"], strict=True)
+    shared = zip(record["labels"], record["values"], record["errors"], strict=True)
     painted, material, _ = pf.load_mesh(out / "mesh.glb")
     values, errors, seen = (arrays[n] for n in ("diffuse", "stderr_diffuse", "seen"))
-    return Found(values[0], errors[0], seen[0], list(few), painted, material)
+    return TextureResult(values[0], errors[0], seen[0], list(shared), painted, material)
 
 
 def _run(*words: Any) -> None:
     if phongfit([str(word) for word in words]) != 0:
-        raise ValueError(f"phongfit {words[0]}: expected it to end well")
+        raise ValueError(f"phongfit {words[0]}: expected exit status 0")
 
 
 def write_colmap(folder: Path, names: list[str], cameras: list[Any]) -> None:
-    """Cameras as COLMAP's text files: they look along +z, and y runs down."""
+    """Write cameras as COLMAP's text files, where they look along +z with y down."""
     folder.mkdir(parents=True)
-    one = cameras[0]
-    focal = one.height / 2 / np.tan(np.radians(float(one.fov_y)) / 2)
-    middle = one.width / 2, one.height / 2
-    lens = f"{one.width} {one.height} {focal:.9g} {middle[0]} {middle[1]}"
+    first = cameras[0]
+    width, height = first.width, first.height
+    focal = height / 2 / np.tan(np.radians(float(first.fov_y)) / 2)
+    lens = f"{width} {height} {focal:.9g} {width / 2} {height / 2}"
     (folder / "cameras.txt").write_text(f"1 SIMPLE_PINHOLE {lens}\n")
     lines = []
     for number, (name, camera) in enumerate(zip(names, cameras, strict=True), 1):
-        turn = (np.asarray(camera.rotation, float) * [1, -1, -1]).T
-        x, y, z, w = Rotation.from_matrix(turn).as_quat()
-        shift = -turn @ np.asarray(camera.position, float)
+        rotation = (np.asarray(camera.rotation, float) * [1, -1, -1]).T
+        x, y, z, w = Rotation.from_matrix(rotation).as_quat()
+        shift = -rotation @ np.asarray(camera.position, float)
         pose = " ".join(f"{part:.9g}" for part in (w, x, y, z, *shift))
         lines += [f"{number} {pose} 1 {name}", ""]
     (folder / "images.txt").write_text("\n".join(lines) + "\n")
 
 
-def ask(size: Size, seed: int = 0, folder: Path | None = None) -> Answer:
+def measure(size: Size, seed: int = 0, folder: Path | None = None) -> Accuracy:
     """Photograph the vase, fit it, and compare; through files if a folder is given."""
     mesh = vase(size.around, size.along)
     true = checkered(size.texels, seed)
@@ -289,33 +304,43 @@ def ask(size: Size, seed: int = 0, folder: Path | None = None) -> Answer:
         photograph(scene, TRUTH, 100 * seed + k, bits)
         for k, scene in enumerate(views(painted, size))
     ]
+    fit = fit_in_memory if folder is None else fit_on_disk
     started = time.perf_counter()
-    found = (fit_in_memory if folder is None else fit_on_disk)(
-        mesh, size, images, folder
-    )
+    result = fit(mesh, size, images, folder)
     seconds = time.perf_counter() - started
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9
-    thrice = (found.seen >= 3)[..., None] & np.isfinite(found.errors)
-    pulls = ((found.values - true) / found.errors)[thrice]
-    truths = [*np.ravel(TRUTH.specular), *np.ravel(TRUTH.shininess)]
-    few = [
-        (label, value, error, float((value - true) / error))
-        for (label, value, error), true in zip(found.few, truths, strict=True)
-    ]
-    (ninth,) = view(painted, size.pixels, 2 * np.pi * 0.56 / size.views, 0.3, (0.2,))
-    taken = photograph(ninth, TRUTH, 100 * seed + 99, bits)
-    again = dataclasses.replace(ninth, surface=found.painted)
-    predicted = pf.render(again, found.material)
-    known = np.asarray(ninth.trace().mask) & (taken < 1).all(axis=-1)
-    left = (taken - np.asarray(predicted))[known]
-    return Answer(
-        float(np.sqrt(np.mean(pulls**2))),
-        (int(thrice.all(axis=-1).sum()), true[..., 0].size),
-        few,
-        float(np.sqrt(np.mean(left**2)) / NOISE),
-        seconds,
-        memory,
+    well_seen = (result.seen >= 3)[..., None] & np.isfinite(result.errors)
+    pulls = ((result.values - true) / result.errors)[well_seen]
+    (scene,) = view(painted, size.pixels, 2 * np.pi * 0.56 / size.views, 0.3, (0.2,))
+    return Accuracy(
+        pulls=float(np.sqrt(np.mean(pulls**2))),
+        texels=(int(well_seen.all(axis=-1).sum()), true[..., 0].size),
+        shared=shared_pulls(result),
+        predicted=prediction_error(scene, result, 100 * seed + 99, bits),
+        seconds=seconds,
+        memory=memory,
     )
+
+
+def shared_pulls(result: TextureResult) -> list[tuple[str, float, float, float]]:
+    """Label, value, error and (value − true) / error of each ρ_s and f."""
+    truths = [*np.ravel(TRUTH.specular), *np.ravel(TRUTH.shininess)]
+    return [
+        (label, value, error, float((value - true) / error))
+        for (label, value, error), true in zip(result.shared, truths, strict=True)
+    ]
+
+
+def prediction_error(
+    scene: pf.Scene, result: TextureResult, seed: int, bits: int | None
+) -> float:
+    """RMS residual of a predicted photograph of the true `scene`, over its noise."""
+    image = photograph(scene, TRUTH, seed, bits)
+    fitted_scene = dataclasses.replace(scene, surface=result.painted)
+    predicted = np.asarray(pf.render(fitted_scene, result.material))
+    used = np.asarray(scene.trace().mask) & (image < 1).all(axis=-1)
+    residual = (image - predicted)[used]
+    return float(np.sqrt(np.mean(residual**2)) / NOISE)
 
 
 @dataclass(frozen=True)
@@ -324,10 +349,10 @@ class Options:
     """A texture of 256 × 256 texels and photographs of 400 × 400 pixels."""
 
     large: bool = False
-    """2048 × 2048 texels and 20 photographs of 2 megapixels: what memory it takes."""
+    """2048 × 2048 texels and 20 photographs of 2 megapixels: checks the memory used."""
 
     disk: Path | None = None
-    """A folder to make: by way of files in it, and of the command line."""
+    """A folder to make: the data pass through files in it, and the command line."""
 
     json: Path | None = None
     """File to write the numbers to as well."""
@@ -341,22 +366,22 @@ def main(options: Options) -> int:
     if options.json is not None:
         check_file(options.json)
     size = LARGE if options.large else FULL if options.full else SMALL
-    answer = ask(size, folder=options.disk)
-    seen, total = answer.texels
+    accuracy = measure(size, folder=options.disk)
+    seen, total = accuracy.texels
     print(
         f"{seen:,} of {total:,} texels seen three times: pulls have an RMS of "
-        f"{answer.pulls:.3f}"
+        f"{accuracy.pulls:.3f}"
     )
-    for label, value, error, pull in answer.few:
+    for label, value, error, pull in accuracy.shared:
         print(f"{label}: {value:.4g} ± {error:.2g}, {pull:+.2f} errors from the truth")
-    print(f"ninth place: {answer.predicted:.3f} times its noise")
-    print(f"{answer.seconds:.1f} s, {answer.memory:.2f} GB at the most")
-    right = answer.right
+    print(f"ninth place: {accuracy.predicted:.3f} times its noise")
+    print(f"{accuracy.seconds:.1f} s, {accuracy.memory:.2f} GB at the most")
+    right = accuracy.right
     if options.large:
-        right = answer.shared_right and answer.memory < MOST
+        right = accuracy.shared_right and accuracy.memory < MAX_GIGABYTES
     print("right" if right else "FALLS SHORT")
     if options.json is not None:
-        numbers: dict[str, Any] = answer._asdict() | {"right": right}
+        numbers: dict[str, Any] = accuracy._asdict() | {"right": right}
         write_json(options.json, numbers)
     return int(not right)
 

@@ -1,4 +1,4 @@
-"""Question: what does a fit with the wrong model get wrong, and what gives it away?
+"""Question: which errors does a wrong model cause, and which diagnostics detect it?
 
 Images are made in one way and fitted in another: the other highlight, the other
 shading, a lamp missing or misplaced or too bright, a wrong encoding, a shadow or a
@@ -31,21 +31,22 @@ LAMP = (1.0, 1.0, 2.0)
 
 @dataclasses.dataclass(frozen=True)
 class Mistake:
-    """How an image is made, what becomes of it, and how it is then fitted.
+    """A wrong assumption of a fit.
 
-    `excuse` is the reason why a fit may not detect it.
+    The image of `true_scene` is changed by `distort` and fitted with `fitted_scene`.
+    `why_hidden` is the reason why a fit may not detect the mistake.
     """
 
     name: str
-    made: pf.Scene
-    fitted: pf.Scene
-    becomes: Callable[[np.ndarray], np.ndarray] = np.asarray
-    excuse: str = "the image is fitted as well as by the right model"
+    true_scene: pf.Scene
+    fitted_scene: pf.Scene
+    distort: Callable[[np.ndarray], np.ndarray] = np.asarray
+    why_hidden: str = "the image is fitted as well as by the right model"
 
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """Effect of a mistake: means over noisy images, in the order of `PARAMETERS`.
+    """Effects of a mistake: means over noisy images, in the order of `PARAMETERS`.
 
     - `bias`: estimate − truth; `in_errors`: the same over the errors stated;
     - `chi_squared`: reduced; `correlation`: of neighbouring residuals;
@@ -59,7 +60,7 @@ class Outcome:
     chi_squared: float
     correlation: float
     flags: tuple[str, ...]
-    excuse: str
+    why_hidden: str
     residual: np.ndarray
 
     @property
@@ -95,8 +96,8 @@ def mistakes(size: int) -> list[Mistake]:
         lights=(pf.DirectionalLight((1.0, 0.6, 0.7), 0.9),),
     )
     second = pf.DirectionalLight((-1.0, -0.4, 1.0), 0.15)
-    # Both highlights are seen, and the two models turn them differently.
-    apart = (*right.lights, pf.DirectionalLight((-1.0, -0.4, -0.2), 0.9))
+    # Both highlights are seen, and the two models shape them differently.
+    lamps_far_apart = (*right.lights, pf.DirectionalLight((-1.0, -0.4, -0.2), 0.9))
     turned = pf.DirectionalLight((1.0, 1.0, 1.7), 0.9)
     bright, brighter = (pf.DirectionalLight(LAMP, x * 0.9) for x in (1.5, 1.1))
     return [
@@ -105,13 +106,13 @@ def mistakes(size: int) -> list[Mistake]:
             "Phong for Blinn",
             right,
             ball(size, specular_model=pf.Phong()),
-            excuse="under one lamp near the viewer, Phong's model with about a quarter "
-            "of the exponent makes nearly the same image",
+            why_hidden="under one lamp near the viewer, Phong's model with about a "
+            "quarter of the exponent makes nearly the same image",
         ),
         Mistake(
             "the same, lamps far apart",
-            ball(size, lights=apart),
-            ball(size, lights=apart, specular_model=pf.Phong()),
+            ball(size, lights=lamps_far_apart),
+            ball(size, lights=lamps_far_apart, specular_model=pf.Phong()),
         ),
         Mistake(
             "Gouraud for Phong",
@@ -124,17 +125,13 @@ def mistakes(size: int) -> list[Mistake]:
             "lamp 10 % too bright",
             right,
             with_lamp(right, brighter),
-            excuse="light and reflectance only ever come as their product",
+            why_hidden="light and reflectance only ever come as their product",
         ),
-        Mistake(
-            "sRGB read as linear", right, right, lambda i: encode(white(i), "srgb")
-        ),
-        Mistake(
-            "linear read as sRGB", right, right, lambda i: decode(white(i), "srgb")
-        ),
+        Mistake("sRGB read as linear", right, right, lambda i: encode(clip(i), "srgb")),
+        Mistake("linear read as sRGB", right, right, lambda i: decode(clip(i), "srgb")),
         Mistake("shadow left out", dataclasses.replace(pair, shadows=True), pair),
         Mistake(
-            "clamp left out", with_lamp(right, bright), with_lamp(right, bright), white
+            "clamp left out", with_lamp(right, bright), with_lamp(right, bright), clip
         ),
     ]
 
@@ -142,11 +139,13 @@ def mistakes(size: int) -> list[Mistake]:
 def two_balls() -> pf.Mesh:
     """A small ball in the lamp's way to a large one, of one material."""
     large, small = ((-0.2, -0.2, 0.0), 0.75), ((0.68, 0.33, 0.6), 0.25)
-    both = pf.join(ball_of_triangles(24, size, at) for at, size in (large, small))
+    both = pf.geometry.join(
+        ball_of_triangles(24, size, at) for at, size in (large, small)
+    )
     return pf.Mesh(both.vertices, both.faces, both.normals)
 
 
-def white(image: np.ndarray) -> np.ndarray:
+def clip(image: np.ndarray) -> np.ndarray:
     """Clip an image to [0, 1]."""
     return np.clip(image, 0, 1)
 
@@ -158,19 +157,19 @@ def with_lamp(scene: pf.Scene, lamp: pf.DirectionalLight) -> pf.Scene:
 
 def angle(lamp: pf.DirectionalLight) -> float:
     """Angle between a lamp and the true one, degrees."""
-    one, other = np.array(LAMP), np.asarray(lamp.direction, float)
-    cosine = one @ other / np.linalg.norm(one) / np.linalg.norm(other)
+    true, other = np.array(LAMP), np.asarray(lamp.direction, float)
+    cosine = true @ other / np.linalg.norm(true) / np.linalg.norm(other)
     return float(np.rad2deg(np.arccos(cosine)))
 
 
-def outcome(mistake: Mistake, draws: int, seed: int) -> Outcome:
+def measure_outcome(mistake: Mistake, draws: int, seed: int) -> Outcome:
     """Fit several noisy images with one mistake."""
-    light = np.asarray(pf.render(mistake.made, TRUTH, film=UNCLAMPED))
+    light = np.asarray(pf.render(mistake.true_scene, TRUTH, film=UNCLAMPED))
     rng = np.random.default_rng(seed)
     fits = [
         pf.fit(
-            mistake.fitted,
-            mistake.becomes(light + NOISE * rng.normal(size=light.shape)),
+            mistake.fitted_scene,
+            mistake.distort(light + NOISE * rng.normal(size=light.shape)),
             per_channel=(),
             noise=NOISE,
             film=UNCLAMPED,
@@ -179,17 +178,17 @@ def outcome(mistake: Mistake, draws: int, seed: int) -> Outcome:
     ]
     order = [fits[0].labels.index(leaf) for leaf in PARAMETERS]
     truth = np.array([float(getattr(TRUTH, leaf)) for leaf in PARAMETERS])
-    off = np.array([fit.values[order] - truth for fit in fits])
+    deviation = np.array([fit.values[order] - truth for fit in fits])
     errors = np.array([fit.errors[order] for fit in fits])
-    raised = np.array([[name in flags(fit) for name in DIAGNOSTICS] for fit in fits])
+    detected = np.array([[name in flags(fit) for name in DIAGNOSTICS] for fit in fits])
     return Outcome(
         mistake.name,
-        off.mean(axis=0),
-        (off / errors).mean(axis=0),
+        deviation.mean(axis=0),
+        (deviation / errors).mean(axis=0),
         float(np.mean([fit.reduced_chi_squared for fit in fits])),
         float(np.mean([fit.neighbour_correlation for fit in fits])),
-        tuple(np.array(DIAGNOSTICS)[raised.mean(axis=0) > 0.5].tolist()),
-        mistake.excuse,
+        tuple(np.array(DIAGNOSTICS)[detected.mean(axis=0) > 0.5].tolist()),
+        mistake.why_hidden,
         np.mean(fits[0].residuals, axis=-1) / NOISE,
     )
 
@@ -203,14 +202,19 @@ def flags(fit: pf.Fit) -> tuple[str, ...]:
         bool(fit.at_bound.any()),
         bool(fit.warnings),
     )
-    return tuple(name for name, said in zip(DIAGNOSTICS, detected, strict=True) if said)
+    return tuple(
+        name
+        for name, is_detected in zip(DIAGNOSTICS, detected, strict=True)
+        if is_detected
+    )
 
 
 def measure(small: bool) -> list[Outcome]:
     """Measure all mistakes."""
     size, draws = (32, 4) if small else (48, 20)
     return [
-        outcome(mistake, draws, seed) for seed, mistake in enumerate(mistakes(size))
+        measure_outcome(mistake, draws, seed)
+        for seed, mistake in enumerate(mistakes(size))
     ]
 
 
@@ -223,31 +227,31 @@ def draw(outcomes: list[Outcome]) -> Figure:
     for axes in panels[len(outcomes) :]:
         axes.set_axis_off()
     maps = []
-    for axes, one in zip(panels, outcomes, strict=False):
-        maps.append(axes.imshow(one.residual, cmap="RdBu_r", vmin=-8, vmax=8))
+    for axes, outcome in zip(panels, outcomes, strict=False):
+        maps.append(axes.imshow(outcome.residual, cmap="RdBu_r", vmin=-8, vmax=8))
         quiet(axes)
-        axes.set_title(textwrap.fill(one.name, 15), fontsize=8)
+        axes.set_title(textwrap.fill(outcome.name, 15), fontsize=8)
     bar = top.colorbar(maps[0], ax=panels.tolist(), fraction=0.02, pad=0.01)
     bar.set_label("image − fit (noise's standard deviations)")
     table = bottom.subplots()
-    deviation = np.array([one.in_errors for one in outcomes])
+    deviation = np.array([outcome.in_errors for outcome in outcomes])
     strength = np.sign(deviation) * np.log10(1 + np.abs(deviation))
     columns = len(PARAMETERS) + len(DIAGNOSTICS)
     cells = np.zeros((len(outcomes), columns))
     cells[:, : len(PARAMETERS)] = strength
     table.imshow(cells, cmap="RdBu_r", vmin=-3, vmax=3, aspect="auto")
     quiet(table)
-    for row, one in enumerate(outcomes):
-        for k, (value, share) in enumerate(zip(*offsets(one), strict=True)):
+    for row, outcome in enumerate(outcomes):
+        for k, (value, in_errors) in enumerate(zip(*offsets(outcome), strict=True)):
             dark = abs(strength[row, k]) > 1.8
             ink = "white" if dark else style.BLACK
-            write(table, k, row, f"{value}\n{share}", ink)
-        numbers = {"χ²": f"{one.chi_squared:.3g} "}
-        numbers["neighbours"] = f"{one.correlation:.2f} "
+            write(table, k, row, f"{value}\n{in_errors}", ink)
+        numbers = {"χ²": f"{outcome.chi_squared:.3g} "}
+        numbers["neighbours"] = f"{outcome.correlation:.2f} "
         for k, name in enumerate(DIAGNOSTICS, len(PARAMETERS)):
             number = numbers.get(name, "")
-            write(table, k, row, number + ("●" if name in one.flags else "·"))
-    table.set_yticks(range(len(outcomes)), [one.name for one in outcomes])
+            write(table, k, row, number + ("●" if name in outcome.flags else "·"))
+    table.set_yticks(range(len(outcomes)), [outcome.name for outcome in outcomes])
     names = [f"{style.symbol(leaf)}: off by" for leaf in PARAMETERS]
     table.set_xticks(range(columns), [*names, *DIAGNOSTICS])
     table.tick_params(length=0, labeltop=True, labelbottom=False)
@@ -263,15 +267,15 @@ def write(axes: Axes, column: int, row: int, words: str, ink: str = "black") -> 
     axes.text(column, row, words, ha="center", va="center", fontsize=7.5, color=ink)
 
 
-def offsets(one: Outcome) -> tuple[list[str], list[str]]:
+def offsets(outcome: Outcome) -> tuple[list[str], list[str]]:
     """Biases as text: in their own units, and in errors stated."""
     digits = [1 if leaf == "shininess" else 3 for leaf in PARAMETERS]
-    values = [f"{bias:+.{n}f}" for bias, n in zip(one.bias, digits, strict=True)]
-    shares = [
-        f"{share:+.0f} σ" if abs(share) >= 10 else f"{share:+.1f} σ"
-        for share in one.in_errors
+    values = [f"{bias:+.{n}f}" for bias, n in zip(outcome.bias, digits, strict=True)]
+    in_errors = [
+        f"{ratio:+.0f} σ" if abs(ratio) >= 10 else f"{ratio:+.1f} σ"
+        for ratio in outcome.in_errors
     ]
-    return [minus(value) for value in values], [minus(share) for share in shares]
+    return list(map(minus, values)), list(map(minus, in_errors))
 
 
 def minus(number: str) -> str:
@@ -279,26 +283,30 @@ def minus(number: str) -> str:
     return number.replace("-", "\N{MINUS SIGN}")
 
 
-def say(right: Outcome, others: list[Outcome]) -> str:
-    """The answer in words, from the fit without a mistake and those with one."""
-    misled = [one for one in others if one.misled]
-    hidden = [one for one in misled if not one.flags]
-    shares = {name: sum(name in one.flags for one in others) for name in DIAGNOSTICS}
-    worst = max(others, key=lambda one: abs(one.bias[PARAMETERS.index("shininess")]))
+def summarize(right: Outcome, others: list[Outcome]) -> str:
+    """The answer as sentences, from the fit without a mistake and those with one."""
+    misled = [outcome for outcome in others if outcome.misled]
+    hidden = [outcome for outcome in misled if not outcome.flags]
+    counts = {
+        name: sum(name in outcome.flags for outcome in others) for name in DIAGNOSTICS
+    }
+    worst = max(
+        others, key=lambda outcome: abs(outcome.bias[PARAMETERS.index("shininess")])
+    )
     return (
         f"{len(misled)} of {len(others)} mistakes move a parameter by more than three "
         "of its stated errors; the exponent suffers most: "
         f"{worst.name!r} moves f = {float(TRUTH.shininess):g} by "
         f"{worst.bias[PARAMETERS.index('shininess')]:+.0f}. What gives them away: "
         + ", ".join(
-            f"{name} {count} of {len(others)}" for name, count in shares.items()
+            f"{name} {count} of {len(others)}" for name, count in counts.items()
         )
         + f"; the right model is {'flagged too' if right.flags else 'not flagged'}. "
         + "".join(
-            f"Nothing shows {one.name!r} (reduced χ² {one.chi_squared:.2f}): "
-            f"{one.excuse}; ρ_d comes out {one.bias[0]:+.3f}, ρ_s {one.bias[1]:+.3f} "
-            f"and f {one.bias[2]:+.1f} off. "
-            for one in hidden
+            f"Nothing shows {outcome.name!r} (reduced χ² {outcome.chi_squared:.2f}): "
+            f"{outcome.why_hidden}; ρ_d comes out {outcome.bias[0]:+.3f}, ρ_s "
+            f"{outcome.bias[1]:+.3f} and f {outcome.bias[2]:+.1f} off. "
+            for outcome in hidden
         )
     ).strip()
 
@@ -309,23 +317,23 @@ def find(small: bool) -> Finding:
     right, *others = outcomes
     rows = tuple(
         (
-            one.name,
-            *("\n".join(pair) for pair in zip(*offsets(one), strict=True)),
-            ", ".join(one.flags) or "nothing",
+            outcome.name,
+            *("\n".join(pair) for pair in zip(*offsets(outcome), strict=True)),
+            ", ".join(outcome.flags) or "nothing",
         )
-        for one in outcomes
+        for outcome in outcomes
     )
     sound = not right.flags and not right.misled
     return Finding(
-        say(right, others),
+        summarize(right, others),
         {
-            one.name: {
+            outcome.name: {
                 name: value
-                for name, value in dataclasses.asdict(one).items()
+                for name, value in dataclasses.asdict(outcome).items()
                 if name != "residual"
             }
-            | {"misled": one.misled}
-            for one in outcomes
+            | {"misled": outcome.misled}
+            for outcome in outcomes
         },
         draw(outcomes),
         "Maps of what fits leave over: noise where the model is right, rings, "
@@ -339,7 +347,7 @@ def find(small: bool) -> Finding:
             ),
             rows,
         ),
-        wrong=() if sound else ("the right model is flagged, or misleads",),
+        failed_checks=() if sound else ("the right model is flagged, or misleads",),
     )
 
 

@@ -1,12 +1,13 @@
-"""Every public name, once: [`phongfit`][] imports each when it is first asked for."""
+"""The public names of `phongfit`, each imported at its first use.
 
-from . import testing as testing
+Names for experts are in `phongfit.geometry` and `phongfit.rendering`, or in the modules
+that define them.
+"""
+
+from . import geometry as geometry, rendering as rendering, testing as testing
 from .cache import cache_programs as cache_programs
 from .calibration.calibrate import calibrate as calibrate
-from .calibration.response import (
-    Response as Response,
-    fit_response as fit_response,
-)
+from .calibration.response import fit_response as fit_response
 from .calibration.result import Calibration as Calibration
 from .codes import warning_code as warning_code
 from .environment import Fog as Fog
@@ -16,9 +17,8 @@ from .files.calibrations import (
 )
 from .files.cameras import load_cameras as load_cameras
 from .files.capture_data import open_captured as open_captured
-from .files.captures import Capture as Capture, open_capture as open_capture
+from .files.captures import open_capture as open_capture
 from .files.datasets import (
-    Dataset as Dataset,
     open_dataset as open_dataset,
     read_dataset as read_dataset,
 )
@@ -32,17 +32,13 @@ from .files.lp import read_lp as read_lp, write_lp as write_lp
 from .files.mesh_saving import save_mesh as save_mesh
 from .files.meshes import load_mesh as load_mesh
 from .files.mtl import read_mtl as read_mtl, write_mtl as write_mtl
-from .files.photographs import (
-    list_photographs as list_photographs,
-    open_photographs as open_photographs,
-    read_photograph as read_photograph,
-)
+from .files.photographs import read_photograph as read_photograph
 from .files.saved import load_fit as load_fit, save_fit as save_fit
 from .files.scenes import load_scene as load_scene, save_scene as save_scene
 from .files.schema import register as register
 from .fitting.fit import fit as fit
 from .fitting.implicit import refit as refit
-from .fitting.predict import Prediction as Prediction, predict_errors as predict_errors
+from .fitting.predict import predict_errors as predict_errors
 from .fitting.problem.losses import (
     AbstractLoss as AbstractLoss,
     Cauchy as Cauchy,
@@ -52,55 +48,26 @@ from .fitting.problem.losses import (
     Tukey as Tukey,
 )
 from .fitting.problem.posing import make_problem as make_problem
-from .fitting.problem.problem import Problem as Problem
 from .fitting.problem.specification import Specification as Specification
-from .fitting.result import Estimate as Estimate, Fit as Fit
-from .fitting.solve.solver import BoundedLevenbergMarquardt as BoundedLevenbergMarquardt
-from .fitting.texels.result import TextureFit as TextureFit
+from .fitting.result import Fit as Fit
 from .fitting.texture_fit import fit_texture as fit_texture
-from .fitting.uncertainty.profile import Profile as Profile, ProfilePair as ProfilePair
 from .geometry import shapes as shapes
 from .geometry.cameras import (
-    AbstractCamera as AbstractCamera,
     OrthographicCamera as OrthographicCamera,
     PerspectiveCamera as PerspectiveCamera,
     PinholeCamera as PinholeCamera,
-    look_at as look_at,
-)
-from .geometry.conventions import (
-    AXES as AXES,
-    camera_from_matrix as camera_from_matrix,
-    camera_from_opencv as camera_from_opencv,
-    camera_pose as camera_pose,
-    camera_to_world as camera_to_world,
-)
-from .geometry.distortion import (
-    AbstractDistortion as AbstractDistortion,
-    BrownDistortion as BrownDistortion,
-    FisheyeDistortion as FisheyeDistortion,
-)
-from .geometry.height import (
-    HeightField as HeightField,
-    cast_shadows as cast_shadows,
 )
 from .geometry.implicit import ImplicitSurface as ImplicitSurface
-from .geometry.integration import integrate_normals as integrate_normals
-from .geometry.meshes import Mesh as Mesh, join as join
-from .geometry.parametric import tessellate as tessellate
+from .geometry.meshes import Mesh as Mesh
 from .geometry.shading import (
-    AbstractShading as AbstractShading,
     FlatShading as FlatShading,
     GouraudShading as GouraudShading,
     PhongShading as PhongShading,
 )
 from .geometry.surfaces import (
-    AbstractSurface as AbstractSurface,
-    GBuffer as GBuffer,
     NormalMap as NormalMap,
     Sphere as Sphere,
 )
-from .geometry.tracing import trace as trace
-from .geometry.undistortion import Undistorted as Undistorted, undistort as undistort
 from .lights import (
     AbstractLight as AbstractLight,
     DirectionalLight as DirectionalLight,
@@ -111,60 +78,40 @@ from .lights import (
 from .maps.cluster import fit_stored_maps as fit_stored_maps
 from .maps.pixel.flags import Flag as Flag
 from .maps.result import (
-    BasisMaterials as BasisMaterials,
     Maps as Maps,
-    Strengths as Strengths,
     load_maps as load_maps,
 )
 from .maps.run import fit_maps as fit_maps
 from .maps.stacks import (
-    AbstractStack as AbstractStack,
     DatasetStack as DatasetStack,
     PhotographStack as PhotographStack,
     ZarrStack as ZarrStack,
 )
 from .maps.stored import StoredMaps as StoredMaps
-from .maps.view_angle import (
-    FovFit as FovFit,
-    fit_fov as fit_fov,
-    seen_over as seen_over,
-)
+from .maps.view_angle import fit_fov as fit_fov
 from .material import (
-    PRESETS as PRESETS,
     Material as Material,
     preset as preset,
     stack_materials as stack_materials,
-    unstack_materials as unstack_materials,
 )
 from .microfacets import (
     GGX as GGX,
     Ward as Ward,
-    roughness_from_shininess as roughness_from_shininess,
-    shininess_from_roughness as shininess_from_roughness,
 )
 from .reflectance import (
     AbstractSpecular as AbstractSpecular,
     BlinnPhong as BlinnPhong,
     Phong as Phong,
-    blinn_from_phong as blinn_from_phong,
-    phong_from_blinn as phong_from_blinn,
 )
 from .rendering.film import Film as Film
-from .rendering.jpeg import JpegCompression as JpegCompression
-from .rendering.pixels import PixelTerms as PixelTerms, pixel_terms as pixel_terms
 from .rendering.render import render as render
 from .rendering.response import ResponseCurve as ResponseCurve
-from .rendering.terms import (
-    ShadingTerms as ShadingTerms,
-    combine as combine,
-    terms as terms,
-)
+from .rendering.terms import terms as terms
 from .report.page import write_page as write_page
 from .report.pictures import show as show
 from .report.viewer import write_view as write_view
 from .scene import Scene as Scene
 from .textures import (
-    AbstractTexture as AbstractTexture,
     Texture as Texture,
     Textures as Textures,
     VertexColours as VertexColours,

@@ -19,10 +19,10 @@ SETTINGS = (
     "jax_persistent_cache_min_entry_size_bytes",
 )
 # Limit of the cache in bytes. Above it the oldest entries are deleted, down to half.
-MOST = 2**30
-# A file whose time stamp is that of the last check: older entries have been checked.
-# And the seconds that writing an entry may take.
-CHECKED, WRITING = ".looked-at", 60.0
+MAX_BYTES = 2**30
+# Name of a file whose time stamp is that of the last check (older entries have been
+# checked), and the longest time that writing an entry may take, seconds.
+STAMP_FILE, WRITE_SECONDS = ".looked-at", 60.0
 
 
 def cache_folder() -> Path | None:
@@ -71,6 +71,7 @@ def cache_environment() -> dict[str, str]:
 
 
 def _configure(folder: Path | None) -> None:
+    """Set JAX's options to use this folder, if it exists and is private."""
     if folder is None:
         return
     try:
@@ -109,7 +110,7 @@ def tidy(folder: Path) -> None:
     JAX writes an entry in place. If the process is killed meanwhile, the damaged entry
     can never be read and is never replaced. Each entry is checked once.
     """
-    before, stamp = time.time() - WRITING, folder / CHECKED
+    before, stamp = time.time() - WRITE_SECONDS, folder / STAMP_FILE
     since = stamp.stat().st_mtime if stamp.exists() else 0.0
     entries = {path: path.stat() for path in folder.glob("*-cache")}
     for path, status in list(entries.items()):
@@ -117,11 +118,11 @@ def tidy(folder: Path) -> None:
             path.unlink(missing_ok=True)
             del entries[path]
     size = sum(status.st_size for status in entries.values())
-    if size > MOST:
+    if size > MAX_BYTES:
         for path, status in sorted(entries.items(), key=lambda e: e[1].st_mtime):
             path.unlink(missing_ok=True)
             size -= status.st_size
-            if size <= MOST // 2:
+            if size <= MAX_BYTES // 2:
                 break
     stamp.touch()
     os.utime(stamp, (before, before))

@@ -183,6 +183,7 @@ def _escape_unprintable() -> None:
 
 
 def _load(name: str) -> Callable[..., int | None]:
+    """The function that runs a command."""
     # Only this command is imported, since JAX and decoders take long to import.
     match name:
         case "synth":
@@ -370,6 +371,7 @@ def _quietly(
 def _call(
     function: Callable[..., int | None], parse: Callable[..., Any]
 ) -> Callable[[], int | None]:
+    """A call of a command's function, with arguments that `parse` reads."""
     about = inspect.getdoc(function)
     hints = typing.get_type_hints(function)
     kinds = [hints.get(name) for name in inspect.signature(function).parameters]

@@ -29,7 +29,7 @@ SHOWN = 60
 
 
 class Kind(NamedTuple):
-    """A kind of argument: its description, and a test for it."""
+    """A kind of argument: its description for messages, and a test of values."""
 
     words: str
     holds: Callable[[Any], bool]
@@ -53,8 +53,8 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
-        named = [kinds.taken(*pair) for pair in zip(names, args, strict=False)]
-        options = {name: kinds.taken(name, value) for name, value in kwargs.items()}
+        named = [kinds.check(*pair) for pair in zip(names, args, strict=False)]
+        options = {name: kinds.check(name, value) for name, value in kwargs.items()}
         # For surplus arguments the function raises its own TypeError.
         return function(*named, *args[len(named) :], **options)  # pyright: ignore
 
@@ -68,7 +68,7 @@ def check_fields(record: Any) -> None:
     """
     kinds = _of_class(type(record))
     for field in dataclasses.fields(record):
-        kinds.taken(field.name, getattr(record, field.name))
+        kinds.check(field.name, getattr(record, field.name))
 
 
 @functools.cache
@@ -83,7 +83,7 @@ class _Kinds:
         self._of = of
         self._kinds: dict[str, Kind | None] | None = None
 
-    def taken(self, name: str, value: Any) -> Any:
+    def check(self, name: str, value: Any) -> Any:
         """Check one argument, and return it as the function gets it."""
         if self._kinds is None:
             hints = inspect.get_annotations(inspect.unwrap(self._of))
@@ -123,14 +123,14 @@ def kind_of(hint: Any) -> Kind | None:
     if origin in (typing.Union, types.UnionType):
         return _any_of(parts)
     if origin is Literal:
-        return Kind(_either([repr(part) for part in parts]), _among(parts))
+        return Kind(_either([repr(part) for part in parts]), _choice_test(parts))
     if origin is tuple and len(parts) == 2 and parts[1] is Ellipsis:
-        return _several(parts[0])
+        return _sequence_kind(parts[0])
     if isinstance(origin, type):
         if issubclass(origin, Mapping):
-            return _mapping(*parts)
+            return _mapping_kind(*parts)
         if origin is not tuple and issubclass(origin, Iterable):
-            return _several(parts[0])
+            return _sequence_kind(parts[0])
         if origin is os.PathLike:
             return Kind("a path", _is_path)
         return Kind("a function", callable) if origin is _CALLABLE else None
@@ -164,7 +164,7 @@ def _either(words: list[str]) -> str:
     return f"{', '.join(most)} or {last}" if most else last
 
 
-def _among(choices: tuple[Any, ...]) -> Callable[[Any], bool]:
+def _choice_test(choices: tuple[Any, ...]) -> Callable[[Any], bool]:
     def holds(value: Any) -> bool:
         # Arrays and unhashable values are not compared, which could raise.
         return isinstance(value, str | int | np.integer) and value in choices
@@ -172,9 +172,10 @@ def _among(choices: tuple[Any, ...]) -> Callable[[Any], bool]:
     return holds
 
 
-def _several(part: Any) -> Kind:
-    one = kind_of(part)
-    words = "a list" if one is None else f"a list, each entry {one.words}"
+def _sequence_kind(part: Any) -> Kind:
+    """The kind of a sequence whose entries are annotated with `part`."""
+    entry_kind = kind_of(part)
+    words = "a list" if entry_kind is None else f"a list, each entry {entry_kind.words}"
     words = "a list of names" if part is str else words
 
     def holds(values: Any) -> bool:
@@ -184,19 +185,23 @@ def _several(part: Any) -> Kind:
             known = isinstance(values, np.ndarray) or _is_real(values)
             values = values.tolist() if known else None
         return isinstance(values, Iterable) and (
-            one is None or all(one.holds(value) for value in values)
+            entry_kind is None or all(entry_kind.holds(value) for value in values)
         )
 
     return Kind(words, holds)
 
 
-def _mapping(key: Any, part: Any) -> Kind:
-    named, one = kind_of(key), kind_of(part)
-    words = "a mapping of names" + ("" if one is None else f", each to {one.words}")
+def _mapping_kind(key: Any, part: Any) -> Kind:
+    """The kind of a mapping with annotated keys and values."""
+    key_kind, value_kind = kind_of(key), kind_of(part)
+    words = "a mapping of names"
+    if value_kind is not None:
+        words += f", each to {value_kind.words}"
 
     def holds(values: Any) -> bool:
         return isinstance(values, Mapping) and all(
-            (named is None or named.holds(name)) and (one is None or one.holds(value))
+            (key_kind is None or key_kind.holds(name))
+            and (value_kind is None or value_kind.holds(value))
             for name, value in values.items()
         )
 

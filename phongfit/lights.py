@@ -79,6 +79,7 @@ def _arriving(
     ambient: Vec3,
     distance: Scalar,
 ) -> Illumination:
+    """Light of which this fraction arrives; `specular` is `intensity` by default."""
     specular = intensity if specular is None else specular
     return Illumination(
         to_light,

@@ -154,8 +154,8 @@ PRESETS = tuple(OPENGL_MATERIALS)
 def preset(name: str) -> Material:
     """One of the 24 classic OpenGL materials, for the Blinn-Phong model.
 
-    **Arguments:** `name`: one of `phongfit.PRESETS`, such as `"brass"`; spaces and
-    hyphens count as underscores.
+    **Arguments:** `name`: one of `phongfit.material.PRESETS`, such as `"brass"`; spaces
+    and hyphens count as underscores.
 
     **Raises:** `ValueError` for any other name; the message has the most similar one.
     """

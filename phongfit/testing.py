@@ -157,6 +157,7 @@ def _namer(leaves: Leaves) -> Callable[[int], str]:
 
 
 def _contract(output: Float[Array, "..."]) -> Scalar:
+    """Sum of the entries with fixed random weights; of one entry, the entry itself."""
     if output.dtype != jnp.float64:
         raise ValueError(
             f"function: returned {output.dtype} for float64 input, which finite "
@@ -190,28 +191,35 @@ def _derivatives(
             rise = value_and_slope(above, unit)[0] - value_and_slope(below, unit)[0]
             # Divided by the actual step, which differs from `step` by rounding.
             central.append(rise / (above - below)[entry])
-    ways = {"forward": forward} | ({"finite differences": central} if central else {})
+    methods = {"forward": forward}
+    if finite_differences:
+        methods["finite differences"] = central
     value = np.asarray(value_and_slope(point, np.zeros_like(point))[0])
-    return value, {way: np.stack(slopes, axis=-1) for way, slopes in ways.items()}
+    return value, {way: np.stack(slopes, axis=-1) for way, slopes in methods.items()}
 
 
 def _compare(
     what: str,
-    found: dict[str, np.ndarray],
+    values: dict[str, np.ndarray],
     name: Callable[..., str],
     rtol: float,
     atol: float,
 ) -> None:
-    ways = np.stack(list(found.values()))
-    finite = np.isfinite(ways).all(axis=0)
-    ways = np.where(finite, ways, 0)
-    allowed = atol + rtol * np.abs(ways).max(axis=0)
-    excess = np.where(finite, np.ptp(ways, axis=0) - allowed, np.inf)
+    """Raise an `AssertionError` that names the entry where methods differ the most.
+
+    **Arguments:** `what`: the derivative, for the message; `values`: its value by each
+    method; `name`: from an entry's indices to its name.
+    """
+    stacked = np.stack(list(values.values()))
+    finite = np.isfinite(stacked).all(axis=0)
+    stacked = np.where(finite, stacked, 0)
+    allowed = atol + rtol * np.abs(stacked).max(axis=0)
+    excess = np.where(finite, np.ptp(stacked, axis=0) - allowed, np.inf)
     wrong = excess > 0
     if not wrong.any():
         return
     worst = tuple(map(int, np.unravel_index(np.argmax(excess), excess.shape)))
-    numbers = ", ".join(f"{way} {value[worst]:.9g}" for way, value in found.items())
+    numbers = ", ".join(f"{way} {value[worst]:.9g}" for way, value in values.items())
     raise AssertionError(
         f"{what} at {name(*worst)}: {numbers}; allowed difference {allowed[worst]:.1g}"
         f" ({wrong.sum()} of {wrong.size} entries disagree)"

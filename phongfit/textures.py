@@ -269,40 +269,40 @@ def looked_up(
 
     **Arguments:** `textures`: of each material, or of all.
     """
-    own = [getattr(one, name) for one in textures]
-    given = [one for one in own if one is not None]
-    if not given:
+    of_materials = [getattr(textures_of, name) for textures_of in textures]
+    present = [texture for texture in of_materials if texture is not None]
+    if not present:
         return None
-    channels = max(one.values.shape[-1] for one in given)
+    channels = max(texture.values.shape[-1] for texture in present)
     neutral = [0.0, 0.0, 1.0] if name == "normal" else [1.0] * channels
     *shape, _ = place.weights.shape
     dtype = place.weights.dtype
 
-    def at(texture: AbstractTexture | None) -> Array:
+    def look_up(texture: AbstractTexture | None) -> Array:
         none = texture is None
         values = jnp.asarray(neutral, dtype) if none else texture.look_up(place)
         return jnp.broadcast_to(values, (*shape, channels))
 
-    if len(own) == 1 or place.material_index is None:
-        return at(own[0])
-    total = at(None)
-    for number, texture in enumerate(own):
+    if len(of_materials) == 1 or place.material_index is None:
+        return look_up(of_materials[0])
+    factor = look_up(None)
+    for number, texture in enumerate(of_materials):
         if texture is not None:
-            here = (place.material_index == number)[..., None]
-            total = jnp.where(here, at(texture), total)
-    return total
+            has_material = (place.material_index == number)[..., None]
+            factor = jnp.where(has_material, look_up(texture), factor)
+    return factor
 
 
 def factors(textures: Sequence[Textures], place: Place) -> Factors | None:
     """Factors of the colour textures; `None` if there is no such texture."""
-    found = {name: looked_up(name, textures, place) for name in COLOURED}
-    if all(values is None for values in found.values()):
+    values_by_name = {name: looked_up(name, textures, place) for name in COLOURED}
+    if all(values is None for values in values_by_name.values()):
         return None
     *shape, _ = place.weights.shape
     one = jnp.ones((), place.weights.dtype)
     return Factors(
         **{
             name: jnp.broadcast_to(one if values is None else values, (*shape, 3))
-            for name, values in found.items()
+            for name, values in values_by_name.items()
         }
     )

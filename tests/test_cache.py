@@ -11,9 +11,9 @@ import jax
 import pytest
 
 from phongfit.cache import (
-    CHECKED,
     SETTINGS,
-    WRITING,
+    STAMP_FILE,
+    WRITE_SECONDS,
     cache_environment,
     cache_folder,
     cache_programs,
@@ -97,26 +97,26 @@ def set_age(path: Path, age: float) -> None:
 def test_damaged_entries_go_and_each_is_looked_at_once(tmp_path):
     whole = zlib.compress(bytes(1000))
     kept = [
-        entry(tmp_path, "whole", 2 * WRITING, whole),
+        entry(tmp_path, "whole", 2 * WRITE_SECONDS, whole),
         # It may be that its process is writing it just now.
         entry(tmp_path, "young", 0, whole[:10]),
-        entry(tmp_path, "zstandard", 2 * WRITING, b"\x28\xb5\x2f\xfd"),
+        entry(tmp_path, "zstandard", 2 * WRITE_SECONDS, b"\x28\xb5\x2f\xfd"),
     ]
-    damaged = entry(tmp_path, "damaged", 2 * WRITING, whole[:10])
-    empty = entry(tmp_path, "empty", 2 * WRITING, b"")
+    damaged = entry(tmp_path, "damaged", 2 * WRITE_SECONDS, whole[:10])
+    empty = entry(tmp_path, "empty", 2 * WRITE_SECONDS, b"")
     tidy(tmp_path)
     assert all(path.exists() for path in kept)
     assert not damaged.exists() and not empty.exists()
     # The young one is looked at when it is older, what was whole not again.
-    entry(tmp_path, "whole", 2 * WRITING, b"")
-    entry(tmp_path, "young", WRITING + 1, whole[:10])
-    set_age(tmp_path / CHECKED, 1.5 * WRITING)
+    entry(tmp_path, "whole", 2 * WRITE_SECONDS, b"")
+    entry(tmp_path, "young", WRITE_SECONDS + 1, whole[:10])
+    set_age(tmp_path / STAMP_FILE, 1.5 * WRITE_SECONDS)
     tidy(tmp_path)
     assert [path.exists() for path in kept] == [True, False, True]
 
 
 def test_where_there_are_too_many_the_oldest_go(tmp_path, monkeypatch):
-    monkeypatch.setattr("phongfit.cache.MOST", 40)
+    monkeypatch.setattr("phongfit.cache.MAX_BYTES", 40)
     paths = [entry(tmp_path, str(age), age, zlib.compress(b"")) for age in range(8)]
     tidy(tmp_path)
     assert [path.exists() for path in paths] == [True] * 2 + [False] * 6
@@ -181,8 +181,8 @@ def test_programs_are_kept_and_damaged_entries_compiled_again(tmp_path):
     for path, content in kept.items():
         # As a process leaves it that was killed a minute ago.
         path.write_bytes(content[: len(content) // 2])
-        set_age(path, 2 * WRITING)
-    os.utime(cache / CHECKED, (0, 0))
+        set_age(path, 2 * WRITE_SECONDS)
+    os.utime(cache / STAMP_FILE, (0, 0))
     assert run() == first
     # Written anew, and whole.
     assert all(zlib.decompress(path.read_bytes()) for path in kept)

@@ -12,6 +12,7 @@ import pytest
 
 import phongfit as pf
 from phongfit import cli
+from phongfit.moved import MOVED
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
@@ -81,8 +82,11 @@ def test_all_code_stands_in_fences():
 
 def test_every_public_name_has_its_place():
     text = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
-    documented = set(re.findall(r"^::: phongfit\.(\w+)$", text, re.MULTILINE))
-    assert documented == set(dir(pf)) - {"__version__"}
+    documented = set(re.findall(r"^::: phongfit\.([\w.]+)$", text, re.MULTILINE))
+    modules = {"geometry": dir(pf.geometry), "rendering": dir(pf.rendering)}
+    assert {name for name in documented if "." not in name} == {*dir(pf)} - {*modules}
+    for module, names in (modules | {m: n.split() for m, n in MOVED.items()}).items():
+        assert {f"{module}.{name}" for name in names} <= documented
 
 
 def test_every_format_has_its_schema():

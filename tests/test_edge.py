@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 import phongfit as pf
 from phongfit.edge import checked, kind_of, shown
 from phongfit.material import Material
+from phongfit.reflectance import blinn_from_phong, phong_from_blinn
 
 ONE = Material()
 
@@ -145,12 +146,12 @@ def test_tracers_pass():
 
     def total(material: Material, shininess: Any) -> Any:
         other = eqx.tree_at(lambda m: m.shininess, material, shininess)
-        return jnp.sum(pf.render(scene, other)) + pf.blinn_from_phong(shininess)
+        return jnp.sum(pf.render(scene, other)) + blinn_from_phong(shininess)
 
     material = Material(0.5, 0.3, 20.0)
     slope = jax.jit(jax.grad(total, argnums=1))(material, jnp.asarray(20.0))
     assert np.isfinite(slope)
-    slopes = jax.vmap(pf.phong_from_blinn)(jnp.arange(3.0))
+    slopes = jax.vmap(phong_from_blinn)(jnp.arange(3.0))
     assert slopes.tolist() == [0, 0.25, 0.5]
 
 
@@ -172,14 +173,14 @@ FIT_DATA = (SCENE, np.zeros((4, 4, 3), np.float32))
         (lambda: pf.fit(*FIT_DATA, weights=Hostile()), "weights"),
         (lambda: pf.render(SCENE, "brass"), "material"),  # pyright: ignore
         (lambda: pf.terms(SCENE, ONE), "gbuffer"),  # pyright: ignore
-        (lambda: pf.combine(ONE, ONE), "terms"),  # pyright: ignore
-        (lambda: pf.trace(SCENE, SCENE.camera), "surface"),  # pyright: ignore
+        (lambda: pf.rendering.combine(ONE, ONE), "terms"),  # pyright: ignore
+        (lambda: pf.geometry.trace(SCENE, SCENE.camera), "surface"),  # pyright: ignore
         (lambda: SCENE.surface.trace(ONE), "camera"),  # pyright: ignore
-        (lambda: pf.join([1]), "meshes"),  # pyright: ignore
-        (lambda: pf.join(x for x in (1, 2)), "meshes"),  # pyright: ignore
+        (lambda: pf.geometry.join([1]), "meshes"),  # pyright: ignore
+        (lambda: pf.geometry.join(x for x in (1, 2)), "meshes"),  # pyright: ignore
         (lambda: pf.predict_errors(SCENE, 3, 0.1), "material"),  # pyright: ignore
         (lambda: pf.stack_materials(ONE), "materials"),  # pyright: ignore
-        (lambda: pf.blinn_from_phong([1, 2]), "shininess"),  # pyright: ignore
+        (lambda: blinn_from_phong([1, 2]), "shininess"),  # pyright: ignore
         (lambda: pf.load_scene(3), "path"),  # pyright: ignore
         (lambda: pf.read_image("a.png", np.ones(3)), "encoding"),  # pyright: ignore
         (lambda: pf.save_scene("a.json", ONE), "scene"),  # pyright: ignore
@@ -188,7 +189,7 @@ FIT_DATA = (SCENE, np.zeros((4, 4, 3), np.float32))
         (lambda: pf.Cauchy("x"), "k"),  # pyright: ignore
         (lambda: pf.SoftL1(1e-320), "k"),
         (lambda: pf.Film(jpeg=3), "jpeg"),  # pyright: ignore
-        (lambda: pf.JpegCompression(3), "tables"),
+        (lambda: pf.rendering.JpegCompression(3), "tables"),
         (lambda: pf.Material(10**5000), "diffuse"),
         (lambda: pf.Material(Hostile()), "diffuse"),
         (lambda: pf.Mesh(np.eye(3), [[0, 1], [2]]), "faces"),

@@ -1,5 +1,6 @@
 """The public names: all there, each imported when it is first asked for."""
 
+import importlib
 import pickle
 import subprocess
 import sys
@@ -8,18 +9,34 @@ from pathlib import Path
 import pytest
 
 import phongfit as pf
+from phongfit.moved import MOVED
 
 NAMES = dir(pf)
 
 
 def test_every_name_is_there():
-    assert len(NAMES) > 70
+    assert 70 < len(NAMES) <= 90
     for name in NAMES:
         value = getattr(pf, name)
         origin = getattr(value, "__module__", getattr(value, "__name__", "phongfit"))
         assert origin.split(".")[0] in ("phongfit", "builtins"), name
     with pytest.raises(AttributeError, match="Sfere"):
         pf.Sfere  # noqa: B018  # pyright: ignore
+
+
+@pytest.mark.parametrize("module", MOVED)
+def test_names_that_moved_warn(module):
+    for name in MOVED[module].split():
+        with pytest.warns(DeprecationWarning, match=rf"phongfit\.{module}\.{name} now"):
+            value = getattr(pf, name)
+        assert value is getattr(importlib.import_module(f"phongfit.{module}"), name)
+        assert name not in NAMES
+
+
+def test_modules_have_the_names_of_their_stubs():
+    assert pf.geometry.trace is importlib.import_module("phongfit.geometry").trace
+    for module in (pf.geometry, pf.rendering):
+        assert all(hasattr(module, name) for name in dir(module))
 
 
 def test_a_star_imports_them_all():

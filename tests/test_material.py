@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
+from phongfit.material import PRESETS
 from tests.helpers import eps, floats, near
 
 # Some rows of the table, as they stand in it: ambient, diffuse, specular, shininess.
@@ -46,8 +47,8 @@ def test_classic_materials(name):
 
 def test_all_24_are_there():
     made = [f"{colour}_{of}" for of in ("plastic", "rubber") for colour in COLOURS]
-    assert sorted(pf.PRESETS) == sorted([*METALS, *GEMS, *made])
-    for name in pf.PRESETS:
+    assert sorted(PRESETS) == sorted([*METALS, *GEMS, *made])
+    for name in PRESETS:
         material = pf.preset(name)
         for leaf in (material.ambient, material.diffuse, material.specular):
             assert leaf.shape == (3,) and np.all(leaf >= 0) and np.all(leaf <= 1)

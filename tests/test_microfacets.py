@@ -9,7 +9,11 @@ import pytest
 from scipy import integrate, special
 
 import phongfit as pf
-from phongfit.microfacets import cosines
+from phongfit.microfacets import (
+    cosines,
+    roughness_from_shininess,
+    shininess_from_roughness,
+)
 from phongfit.testing import check_gradients
 from tests.helpers import floats, near, random_rotation, random_units, unit
 
@@ -170,12 +174,12 @@ def test_a_narrow_highlight_keeps_its_digits():
 
 def test_conversions():
     exponents = floats([0.0, 2.0, 30.0, 1000.0])
-    rough = pf.roughness_from_shininess(exponents)
+    rough = roughness_from_shininess(exponents)
     near(rough**4, 2 / (np.asarray(exponents) + 2))
-    near(pf.shininess_from_roughness(rough), exponents, 1e-4)
+    near(shininess_from_roughness(rough), exponents, 1e-4)
     # The same facets, by either name.
     places = [floats(random_units(20, seed)) for seed in (1, 2, 3)]
-    given = pf.GGX(pf.roughness_from_shininess(floats(30.0)))
+    given = pf.GGX(roughness_from_shininess(floats(30.0)))
     near(heights(given, *places), heights(pf.GGX(), *places), 1e-4)
 
 

@@ -146,7 +146,7 @@ def test_a_normal_map_turns_normals():
         ((0, 0, 1), (0, 0, 1)),
     ):
         textures = pf.Textures(normal=pf.Texture([[local]]))
-        buffer = pf.trace(plate(textures), CAMERA)
+        buffer = pf.geometry.trace(plate(textures), CAMERA)
         near(np.asarray(buffer.normal), np.broadcast_to(direction, (8, 8, 3)))
     # A mirrored texture: its right is the plate's left.
     mirrored = plate(pf.Textures(normal=pf.Texture([[(0.6, 0, 0.8)]])))
@@ -156,7 +156,7 @@ def test_a_normal_map_turns_normals():
         uv=np.asarray(mirrored.uv) * [-1, 1],
         textures=mirrored.textures,
     )
-    buffer = pf.trace(mirrored, CAMERA)
+    buffer = pf.geometry.trace(mirrored, CAMERA)
     near(np.asarray(buffer.normal), np.broadcast_to((-0.6, 0, 0.8), (8, 8, 3)))
 
 
@@ -198,7 +198,7 @@ def test_a_mesh_with_textures_needs_uv():
 def test_joined_meshes_keep_their_textures():
     red = pf.Textures(diffuse=pf.Texture([[(1.0, 0, 0)]]))
     bare = pf.Mesh(np.asarray(plate().vertices) + [0, 0, -1], plate().faces)
-    both = pf.join([bare, plate(red)])
+    both = pf.geometry.join([bare, plate(red)])
     white = pf.Material(np.ones((2, 1)), 0.0, 1.0, 0.0)
     scene = pf.Scene(both, CAMERA, FRONT)
     near(np.asarray(pf.render(scene, white)), np.broadcast_to((1, 0, 0), (8, 8, 3)))
@@ -206,7 +206,7 @@ def test_joined_meshes_keep_their_textures():
 
 def test_texels_have_gradients():
     values = floats(np.random.default_rng(0).uniform(size=(4, 4, 3)))
-    buffer = pf.trace(plate(), CAMERA)
+    buffer = pf.geometry.trace(plate(), CAMERA)
 
     @jax.jit
     def mean(values):
@@ -269,7 +269,9 @@ def test_colours_of_vertices_are_in_the_materials_place():
 def test_joined_meshes_keep_the_colours_of_their_vertices():
     red = pf.Textures(diffuse=pf.VertexColours([(1.0, 0, 0)] * 4))
     bare = pf.Mesh(np.asarray(plate().vertices) + [0, 0, 1], plate().faces[:1])
-    both = pf.join([bare, pf.Mesh(plate().vertices, plate().faces, textures=red)])
+    both = pf.geometry.join(
+        [bare, pf.Mesh(plate().vertices, plate().faces, textures=red)]
+    )
     white = pf.Material(np.ones((2, 1)), 0.0, 1.0, 0.0)
     image = np.asarray(pf.render(pf.Scene(both, CAMERA, FRONT), white))
     near(image[7, 6], (1, 1, 1))
@@ -279,7 +281,7 @@ def test_joined_meshes_keep_the_colours_of_their_vertices():
 def test_colours_of_vertices_have_gradients():
     values = floats(np.random.default_rng(0).uniform(size=(4, 3)))
     bare = pf.Mesh(plate().vertices, plate().faces)
-    buffer = pf.trace(bare, CAMERA)
+    buffer = pf.geometry.trace(bare, CAMERA)
 
     @jax.jit
     def mean(values):

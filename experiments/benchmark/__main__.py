@@ -55,10 +55,10 @@ NO_MITSUBA = (
 )
 
 
-def single_ratios(found: list[single.Row]) -> list[Ratio]:
+def single_ratios(rows: list[single.Row]) -> list[Ratio]:
     """Ratios for one image: of the whole fit, and of the search alone."""
-    seconds = {row.key: row.seconds for row in found}
-    # Against lmfit the aim is only to be no slower.
+    seconds = {row.key: row.seconds for row in rows}
+    # A method's label and the smallest ratio aimed at; lmfit is not to be faster.
     peers = {
         "lm_one": ("stock optimistix LM, OpenBLAS on one thread", 15),
         "lm": ("the same, OpenBLAS as it comes", 15),
@@ -78,9 +78,9 @@ def single_ratios(found: list[single.Row]) -> list[Ratio]:
     ]
 
 
-def map_ratios(found: list[map_peers.Row]) -> list[Ratio]:
+def map_ratios(rows: list[map_peers.Row]) -> list[Ratio]:
     """Ratios for maps with a material per pixel."""
-    seconds = {row.key: row.seconds for row in found}
+    seconds = {row.key: row.seconds for row in rows}
     lm, loop = (seconds[key] / seconds["map"] for key in ("vmapped_lm", "scipy_loop"))
     work = "a material per pixel, 16 000 pixels × 96 lights"
     return [
@@ -89,11 +89,11 @@ def map_ratios(found: list[map_peers.Row]) -> list[Ratio]:
     ]
 
 
-def normal_ratio(found: list[normal_peers.Row]) -> Ratio:
+def normal_ratio(rows: list[normal_peers.Row]) -> Ratio:
     """Ratio of CPU times for normals that are fitted with the materials."""
-    seconds = {row.key: row.seconds for row in found}
+    seconds = {row.key: row.seconds for row in rows}
     return Ratio(
-        f"normals and materials per pixel, {found[0].pixels:,} pixels × 49 lights",
+        f"normals and materials per pixel, {rows[0].pixels:,} pixels × 49 lights",
         "`vmap`ped stock LM",
         "vmapped_lm_over_normals",
         seconds["vmapped_lm_of_normals"] / seconds["normals"],
@@ -101,9 +101,9 @@ def normal_ratio(found: list[normal_peers.Row]) -> Ratio:
     )
 
 
-def texture_ratios(found: list[textures.Row]) -> list[Ratio]:
+def texture_ratios(rows: list[textures.Row]) -> list[Ratio]:
     """Ratios of CPU times for texels; empty if Mitsuba is not installed."""
-    ours, *peers = found
+    ours, *peers = rows
     return [
         Ratio(
             "texels of a mesh, 48² from 16 photographs, to the same error",
@@ -131,20 +131,21 @@ def table(ratios: list[Ratio]) -> str:
     return "\n".join(lines)
 
 
-def details(found: list[single.Row]) -> str:
+def single_details(rows: list[single.Row]) -> str:
     """Table of the methods that fit one image, as Markdown."""
     lines = [
         "| one image, warm | median | steps or calls | off by |",
         "|---|--:|--:|--:|",
     ]
     lines += [
-        f"| {row.name} | {1e3 * row.seconds:.1f} ms | {row.steps} | {row.off:.2g} σ |"
-        for row in found
+        f"| {row.name} | {1e3 * row.seconds:.1f} ms | {row.steps} "
+        f"| {row.distance:.2g} σ |"
+        for row in rows
     ]
     return "\n".join(lines)
 
 
-def map_details(found: list[map_peers.Row]) -> str:
+def map_details(rows: list[map_peers.Row]) -> str:
     """Table of the methods that fit a map, as Markdown."""
     lines = [
         "| a material per pixel | pixels | a pixel | converged | as the map "
@@ -153,8 +154,8 @@ def map_details(found: list[map_peers.Row]) -> str:
     ]
     lines += [
         f"| {row.name} | {row.pixels} | {1e6 * row.seconds:.1f} µs "
-        f"| {row.converged:.1%} | {row.alike:.1%} | {row.true:.1%} |"
-        for row in found
+        f"| {row.converged:.1%} | {row.as_map:.1%} | {row.near_truth:.1%} |"
+        for row in rows
     ]
     lines += [
         "",
@@ -164,7 +165,7 @@ def map_details(found: list[map_peers.Row]) -> str:
     return "\n".join(lines)
 
 
-def normal_details(found: list[normal_peers.Row]) -> str:
+def normal_details(rows: list[normal_peers.Row]) -> str:
     """Table of the methods that fit normals, as Markdown."""
     lines = [
         "| normals and materials per pixel | pixels | CPU time per pixel | error |",
@@ -173,12 +174,12 @@ def normal_details(found: list[normal_peers.Row]) -> str:
     lines += [
         f"| {row.name} | {row.pixels} | {1e6 * row.seconds:.1f} µs "
         f"| {row.degrees:.2f}° |"
-        for row in found
+        for row in rows
     ]
     return "\n".join(lines)
 
 
-def texture_details(found: list[textures.Row]) -> str:
+def texture_details(rows: list[textures.Row]) -> str:
     """Table of the methods that fit texels, as Markdown."""
     lines = [
         "| texels of a mesh | CPU time | steps | error of the texels |",
@@ -187,15 +188,15 @@ def texture_details(found: list[textures.Row]) -> str:
     lines += [
         f"| {row.name} | {row.seconds:.1f} s | {row.steps} "
         f"| {row.error:.4f}{'' if row.arrived else ' (not converged)'} |"
-        for row in found
+        for row in rows
     ]
-    if len(found) == 1:
+    if len(rows) == 1:
         lines += ["", NO_MITSUBA]
     return "\n".join(lines)
 
 
 @styled
-def figure(ratios: list[Ratio], grown: dict[str, dict[str, float]]) -> Figure:
+def figure(ratios: list[Ratio], fit_times: dict[str, dict[str, float]]) -> Figure:
     """Draw the ratios next to their aims, and the growth of a fit's time."""
     gains = [row for row in ratios if not row.at_most][::-1]
     # Each name takes two lines.
@@ -214,7 +215,7 @@ def figure(ratios: list[Ratio], grown: dict[str, dict[str, float]]) -> Figure:
     )
     above.xaxis.set_major_formatter("{x:g}")
     looks = ((BLUE, "o"), (VERMILION, "s"), (GREEN, "^"), (ORANGE, "D"))
-    for (name, times), (colour, mark) in zip(grown.items(), looks, strict=True):
+    for (name, times), (colour, mark) in zip(fit_times.items(), looks, strict=True):
         counts = np.array([float(count) for count in times])
         taken = np.array(list(times.values()))
         (line,) = below.plot(counts / counts[0], taken / taken[0], color=colour)
@@ -271,28 +272,28 @@ def main(
         console.print(Markdown(text) if console.is_terminal else text, soft_wrap=True)
 
     divisor = 40 if quick else 1
-    found = single.rows(resolution, runs, console)
-    show(details(found))
+    rows = single.rows(resolution, runs, console)
+    show(single_details(rows))
     # Maps have a fixed cost, so only a run at full size is a result.
-    mapped = map_peers.rows(16_000 // divisor, scipy=200 // divisor)
-    show("\n" + map_details(mapped))
-    shaped = normal_peers.rows(16_000 // divisor)
-    show("\n" + normal_details(shaped))
-    painted = textures.rows(most=20 if quick else textures.MOST)
-    show("\n" + texture_details(painted))
+    map_rows = map_peers.rows(16_000 // divisor, scipy=200 // divisor)
+    show("\n" + map_details(map_rows))
+    normal_rows = normal_peers.rows(16_000 // divisor)
+    show("\n" + normal_details(normal_rows))
+    texture_rows = textures.rows(max_steps=20 if quick else textures.MAX_STEPS)
+    show("\n" + texture_details(texture_rows))
     rendered = costs.render_costs(costs.SIZES[: 2 if quick else None])
     sizes = (10_000, 100_000, 1_000_000, 4_000_000)
     pixels = maps.scaling(tuple(n // divisor for n in sizes[: 2 if quick else None]))
-    grown = costs.growth((32, 64) if quick else (64, 128, 256, 512))
-    started = costs.cold()
+    fit_times = costs.growth((32, 64) if quick else (64, 128, 256, 512))
+    cold_starts = costs.cold_starts()
     memory = maps.peak_memory(4_000_000 // divisor)
     compiled = costs.first_and_warm()
-    twelve = compiling.apart(12, "exposure", 128)["empty"]["first"]
+    twelve = compiling.time_in_processes(12, "exposure", 128)["empty"]["first"]
     ratios = [
-        *single_ratios(found),
-        *map_ratios(mapped),
-        normal_ratio(shaped),
-        *texture_ratios(painted),
+        *single_ratios(rows),
+        *map_ratios(map_rows),
+        normal_ratio(normal_rows),
+        *texture_ratios(texture_rows),
         Ratio(
             "render, a pixel from 128² to 2048²",
             "itself",
@@ -313,7 +314,7 @@ def main(
             "a cold `phongfit fit` of one 256² image",
             "importing jax and optimistix",
             "cold_fit_over_import",
-            started["fit"] / started["import"],
+            cold_starts["fit"] / cold_starts["import"],
             2.5,
             True,
         ),
@@ -321,7 +322,7 @@ def main(
             "the same, nothing compiled before",
             "the same",
             "first_fit_over_import",
-            started["first_fit"] / started["import"],
+            cold_starts["first_fit"] / cold_starts["import"],
             6,
             True,
         ),
@@ -329,7 +330,7 @@ def main(
             "a first fit of 12 images with 11 unknown exposures",
             "the same",
             "first_fit_of_twelve_over_import",
-            twelve / started["import"],
+            twelve / cold_starts["import"],
             6,
             True,
         ),
@@ -343,19 +344,19 @@ def main(
         soft_wrap=True,
     )
     if picture is not None:
-        save_picture(picture, figure(ratios, grown))
+        save_picture(picture, figure(ratios, fit_times))
     numbers: dict[str, Any] = {row.key: row.value for row in ratios}
-    numbers["seconds"] = {row.key: row.seconds for row in found} | {
-        **{f"{row.key}_pixel": row.seconds for row in mapped},
-        **{f"{row.key}_pixel": row.seconds for row in shaped},
-        **{row.key: row.seconds for row in painted},
+    numbers["seconds"] = {row.key: row.seconds for row in rows} | {
+        **{f"{row.key}_pixel": row.seconds for row in map_rows},
+        **{f"{row.key}_pixel": row.seconds for row in normal_rows},
+        **{row.key: row.seconds for row in texture_rows},
         "render_pixel": rendered,
         "map_pixel_by_size": {str(k): v for k, v in pixels.items()},
-        "fit_by": grown,
-        "cold": started,
+        "fit_by": fit_times,
+        "cold": cold_starts,
         "compile": compiled,
     }
-    numbers["map_answers"] = {row.key: dataclasses.asdict(row) for row in mapped}
+    numbers["map_answers"] = {row.key: dataclasses.asdict(row) for row in map_rows}
     numbers["memory"] = memory
     numbers["machine"] = machine()
     save_numbers(json, numbers)

@@ -60,7 +60,7 @@ def problem(images: int, kind: str, size: int) -> tuple[Any, ...]:
     return scenes, noisy, options
 
 
-def here(images: int, kind: str, size: int) -> dict[str, float]:
+def time_here(images: int, kind: str, size: int) -> dict[str, float]:
     """Seconds of a first and a second fit in this process; CPU seconds of the first."""
     scenes, noisy, options = problem(images, kind, size)
     begin, cpu_before = time.perf_counter(), _cpu_seconds()
@@ -77,11 +77,11 @@ def _cpu_seconds() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def apart(images: int, kind: str, size: int) -> dict[str, dict[str, float]]:
-    """Times of [`here`][] in fresh processes, with an empty and with a filled cache."""
+def time_in_processes(images: int, kind: str, size: int) -> dict[str, dict[str, float]]:
+    """Times of [`time_here`][] in new processes, with an empty cache and a full one."""
     code = (
-        "import json; from experiments.benchmark.compiling import here; "
-        f"print(json.dumps(here({images}, {kind!r}, {size})))"
+        "import json; from experiments.benchmark.compiling import time_here; "
+        f"print(json.dumps(time_here({images}, {kind!r}, {size})))"
     )
     with tempfile.TemporaryDirectory() as cache:
         return {
@@ -135,8 +135,8 @@ def main(size: int = 128, images: tuple[int, ...] = (1, 4, 12, 48)) -> None:
     )
     for kind in KINDS:
         for count in images:
-            found = apart(count, kind, size)
-            empty, kept = found["empty"], found["kept"]
+            times = time_in_processes(count, kind, size)
+            empty, kept = times["empty"], times["kept"]
             show(
                 f"| {kind} | {count} | {empty['first']:.1f} s "
                 f"| {empty['first'] / unit:.1f} × | {empty['work']:.1f} s "

@@ -50,7 +50,9 @@ def render_costs(sizes: tuple[int, ...] = SIZES) -> dict[str, float]:
         scene = scene_of(size)
         gbuffer = scene.trace()
 
-        def shade(scene: pf.Scene = scene, gbuffer: pf.GBuffer = gbuffer) -> None:
+        def shade(
+            scene: pf.Scene = scene, gbuffer: pf.geometry.GBuffer = gbuffer
+        ) -> None:
             jax.block_until_ready(pf.render(scene, MATERIAL, gbuffer=gbuffer))
 
         costs[str(size)] = seconds(shade, 15) / size**2
@@ -59,19 +61,19 @@ def render_costs(sizes: tuple[int, ...] = SIZES) -> dict[str, float]:
 
 def growth(sizes: tuple[int, ...] = (64, 128, 256, 512)) -> dict[str, dict[str, float]]:
     """Seconds of fits with more and more pixels, images, lights or unknowns."""
-    grown: dict[str, dict[str, float]] = {"pixels": {}, "images": {}, "lights": {}}
+    times: dict[str, dict[str, float]] = {"pixels": {}, "images": {}, "lights": {}}
     for size in sizes:
         scene = scene_of(size)
-        grown["pixels"][str(size**2)] = fit_seconds(scene, photograph(scene))
+        times["pixels"][str(size**2)] = fit_seconds(scene, photograph(scene))
     for count in (1, 4, 16):
         scenes = [scene_of(lights=1) for _ in range(count)]
         images = [photograph(scene, k) for k, scene in enumerate(scenes)]
-        grown["images"][str(count)] = fit_seconds(scenes, images)
+        times["images"][str(count)] = fit_seconds(scenes, images)
         lit = scene_of(lights=count)
-        grown["lights"][str(count)] = fit_seconds(lit, photograph(lit))
+        times["lights"][str(count)] = fit_seconds(lit, photograph(lit))
     scene = scene_of()
     image = photograph(scene)
-    grown["unknowns"] = {
+    times["unknowns"] = {
         str(count): fit_seconds(scene, image, **options)
         for count, options in (
             (4, {"per_channel": ()}),
@@ -79,7 +81,7 @@ def growth(sizes: tuple[int, ...] = (64, 128, 256, 512)) -> dict[str, dict[str, 
             (12, {"per_channel": DEFAULT_UNKNOWNS}),
         )
     }
-    return grown
+    return times
 
 
 def first_and_warm(size: int = 64) -> dict[str, float]:
@@ -93,7 +95,7 @@ def first_and_warm(size: int = 64) -> dict[str, float]:
     return {"first": first, "warm": fit_seconds(scene, image)}
 
 
-def cold(size: int = 256) -> dict[str, float]:
+def cold_starts(size: int = 256) -> dict[str, float]:
     """Seconds of `phongfit fit` and of importing JAX and optimistix, in new processes.
 
     The first of them has an empty cache of compiled programs, the others a full one.

@@ -40,7 +40,7 @@ class Samples:
 
 
 @dataclasses.dataclass(frozen=True)
-class Found:
+class MethodResult:
     """Results of one method for the first pixels of a stack.
 
     - `seconds`: a pixel.
@@ -59,9 +59,10 @@ class Row:
 
     - `seconds`: a pixel.
     - `converged`: fraction of its pixels that converged.
-    - `alike`: fraction of its pixels where every unknown is within half a standard
+    - `as_map`: fraction of its pixels where every unknown is within half a standard
         error of the map's.
-    - `true`: share of its unknowns within two error bars of the truth: 95 % is right.
+    - `near_truth`: fraction of its unknowns within two standard errors of the truth:
+        95 % is right.
     """
 
     name: str
@@ -69,8 +70,8 @@ class Row:
     seconds: float
     pixels: int
     converged: float
-    alike: float
-    true: float
+    as_map: float
+    near_truth: float
 
 
 def samples(stack: Stack, pixels: int) -> Samples:
@@ -101,15 +102,15 @@ def _vmapped(
 
     def one(*args: Array) -> tuple[Array, Array]:
         solver = optx.LevenbergMarquardt(TOLERANCE, TOLERANCE)
-        found = optx.least_squares(
+        result = optx.least_squares(
             residual, solver, start, args=args, max_steps=MOST_STEPS, throw=False
         )
-        return found.value, found.result == optx.RESULTS.successful
+        return result.value, result.result == optx.RESULTS.successful
 
     return eqx.filter_vmap(one)(target, lit, logarithm)
 
 
-def vmapped_lm(stack: Stack, pixels: int) -> Found:
+def vmapped_lm(stack: Stack, pixels: int) -> MethodResult:
     """Fit `pixels` pixels at once by optimistix's Levenberg-Marquardt under `vmap`.
 
     All pixels take as many steps as the slowest one. The linear solver is the default
@@ -123,10 +124,10 @@ def vmapped_lm(stack: Stack, pixels: int) -> Found:
     begin = time.perf_counter()
     values, converged = map(np.asarray, _vmapped(target, lit, logarithm))
     taken = time.perf_counter() - begin
-    return Found(taken / len(values), values, converged)
+    return MethodResult(taken / len(values), values, converged)
 
 
-def scipy_loop(stack: Stack, pixels: int) -> Found:
+def scipy_loop(stack: Stack, pixels: int) -> MethodResult:
     """Fit by a loop over SciPy's `least_squares`, with the map's bounds, in float64."""
     part = samples(stack, pixels)
     low, high = np.zeros(UNKNOWNS), np.append(np.ones(9), np.log(1000))
@@ -143,11 +144,11 @@ def scipy_loop(stack: Stack, pixels: int) -> Found:
             lobe = np.where(lit > 0, np.exp(np.exp(y[9]) * logarithm), 0)
             return (AMBIENT * y[:3] + lit * y[3:6] + lobe * y[6:9] - target).ravel()
 
-        found = scipy.optimize.least_squares(residual, START, bounds=(low, high))
-        values.append(found.x)
-        converged.append(found.success)
+        result = scipy.optimize.least_squares(residual, START, bounds=(low, high))
+        values.append(result.x)
+        converged.append(result.success)
     taken = time.perf_counter() - begin
-    return Found(taken / len(values), np.stack(values), np.array(converged))
+    return MethodResult(taken / len(values), np.stack(values), np.array(converged))
 
 
 def rows(pixels: int = 16_000, lights: int = 96, *, scipy: int = 200) -> list[Row]:
@@ -156,16 +157,18 @@ def rows(pixels: int = 16_000, lights: int = 96, *, scipy: int = 200) -> list[Ro
     maps = fit_stack(stack)
     values, errors = as_rows(maps)
     identified = maps.identified & ~maps.flagged(pf.Flag.NOT_CONVERGED)
-    ours = Found(map_seconds(stack, 15) / identified.size, values, identified.ravel())
-    ways = {
+    ours = MethodResult(
+        map_seconds(stack, 15) / identified.size, values, identified.ravel()
+    )
+    methods = {
         "map": ("phongfit, `fit_maps`", ours),
         "vmapped_lm": ("optimistix LM, `vmap`", vmapped_lm(stack, pixels)),
         "scipy_loop": ("SciPy `least_squares`, a loop", scipy_loop(stack, scipy)),
     }
     truth = stack.truth.reshape(-1, UNKNOWNS)
     return [
-        judge(name, key, found, values, errors, truth)
-        for key, (name, found) in ways.items()
+        judge(name, key, result, values, errors, truth)
+        for key, (name, result) in methods.items()
     ]
 
 
@@ -184,25 +187,25 @@ def as_rows(maps: pf.Maps) -> tuple[np.ndarray, np.ndarray]:
 def judge(
     name: str,
     key: str,
-    found: Found,
+    result: MethodResult,
     values: np.ndarray,
     errors: np.ndarray,
     truth: np.ndarray,
 ) -> Row:
     """Compare a method's results with the map and the truth, in the map's errors."""
-    count = len(found.values)
+    count = len(result.values)
     values, errors, truth = (array[:count] for array in (values, errors, truth))
     identified = np.isfinite(errors).all(axis=1)
     from_map, from_truth = (
-        np.abs(found.values - there)[identified] / errors[identified]
+        np.abs(result.values - there)[identified] / errors[identified]
         for there in (values, truth)
     )
     return Row(
         name,
         key,
-        found.seconds,
+        result.seconds,
         count,
-        float(np.mean(found.converged)),
+        float(np.mean(result.converged)),
         float(np.mean((from_map < 0.5).all(axis=1))),
         float(np.mean(from_truth < 2)),
     )

@@ -108,11 +108,13 @@ def rows(pixels: int = 16_000, lights: int = 49) -> list[Row]:
         normals = np.concatenate([slopes, np.ones((count, 1))], axis=-1)
         return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
 
-    found = []
-    for name, key, way in (
+    result_rows = []
+    for name, key, method in (
         ('phongfit, `fit_maps(normals="fit")`', "normals", ours),
         ("optimistix LM, `vmap`", "vmapped_lm_of_normals", peer),
     ):
-        taken, normals = _timed(way)
-        found.append(Row(name, key, taken / count, count, _degrees(normals, stack)))
-    return found
+        taken, normals = _timed(method)
+        result_rows.append(
+            Row(name, key, taken / count, count, _degrees(normals, stack))
+        )
+    return result_rows

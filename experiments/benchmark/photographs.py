@@ -92,12 +92,12 @@ def _light(
 
 def measure(folder: Path) -> dict[str, Any]:
     """Seconds and peak memory of reading and of fitting, for each file format."""
-    found: dict[str, Any] = {}
+    numbers: dict[str, Any] = {}
     for kind, source in (("jpeg", folder), ("zarr", folder / "zarr" / "stack.zarr")):
         out = folder / f"{kind}_maps.zarr"
         read, read_bytes = _process("_read", str(source))
         fitted, fit_bytes = _process("_fit", str(source), str(out))
-        found[kind] = {
+        numbers[kind] = {
             "seconds_to_read": read,
             "seconds_to_fit": fitted,
             "ratio": fitted / read,
@@ -105,8 +105,8 @@ def measure(folder: Path) -> dict[str, Any]:
             "gigabytes_to_fit": fit_bytes / 1e9,
         }
         maps = pf.StoredMaps(out)
-        found[kind]["identified"] = maps.counts["identified"] / maps.counts["fitted"]
-    return found
+        numbers[kind]["identified"] = maps.counts["identified"] / maps.counts["fitted"]
+    return numbers
 
 
 def _process(function: str, *arguments: str) -> tuple[float, int]:

@@ -56,12 +56,12 @@ class Row:
     key: str
     seconds: float
     steps: int
-    off: float
+    distance: float
 
 
 Row.__init__.__doc__ = """**Arguments:**
 
-- `off`: largest distance from the fit's answer, standard errors.
+- `distance`: largest distance from the fit's answer, standard errors.
 """
 
 
@@ -83,19 +83,19 @@ def start(problem: Problem) -> Float[Array, " n"]:
     return jnp.asarray(guess.astype(problem.sigma.dtype))
 
 
-def searching(scene: pf.Scene, image: np.ndarray) -> Callable[[], SearchResult]:
+def search_function(scene: pf.Scene, image: np.ndarray) -> Callable[[], SearchResult]:
     """A function that runs phongfit's search, from samples to the solution."""
     setting = set_up(Specification(), scene, image)
     seen = seen_pixels(setting.sources)
-    few = choose_few(setting.sources, seen)
-    first = None if few is None else gather(setting.sources, few)
+    subset = choose_few(setting.sources, seen)
+    first = None if subset is None else gather(setting.sources, subset)
     samples = gather(setting.sources, seen)
     settings = (setting.unknowns, pf.Linear(), setting.films[0].clamp, False, 200)
     return lambda: search(first, lambda: samples, *settings)
 
 
 @eqx.filter_jit
-def stock(problem: Problem, y: Array, linear_solver: Any) -> optx.Solution:
+def optimistix_lm(problem: Problem, y: Array, linear_solver: Any) -> optx.Solution:
     """optimistix's solver on the same residuals."""
     return optx.least_squares(
         lambda y, problem: problem.residual(y).ravel(),
@@ -142,34 +142,34 @@ def rows(resolution: int, runs: int, console: Console) -> list[Row]:
         fit.solution.y,
         start(fit.solution.problem),
     )
-    ways: dict[str, tuple[str, Callable[[], Any]]] = {
+    methods: dict[str, tuple[str, Callable[[], Any]]] = {
         "fit": ("phongfit, all of `pf.fit`", lambda: pf.fit(scene, image)),
-        "search": ("phongfit, its search alone", searching(scene, image)),
-        "lm": ("optimistix LM", lambda: stock(problem, y, lx.QR())),
+        "search": ("phongfit, its search alone", search_function(scene, image)),
+        "lm": ("optimistix LM", lambda: optimistix_lm(problem, y, lx.QR())),
         "lm_normal": (
             "optimistix LM, normal equations",
-            lambda: stock(problem, y, lx.Normal(lx.Cholesky())),
+            lambda: optimistix_lm(problem, y, lx.Normal(lx.Cholesky())),
         ),
     }
     one = "LM with OpenBLAS on one thread"
     if installed("threadpoolctl", one, "pip install phongfit[benchmark]", console):
-        ways["lm_one"] = f"optimistix {one}", on_one_thread(ways["lm"][1])
+        methods["lm_one"] = f"optimistix {one}", on_one_thread(methods["lm"][1])
     rate = f"rate {ADAM_RATE}, to 1e-3 in f"
     if installed("optax", "Adam", "pip install phongfit[benchmark]", console):
-        ways["adam"] = f"Adam (optax), {rate}", adam(problem, y, answer)
-    here, there = np.asarray(y), np.asarray(answer)
+        methods["adam"] = f"Adam (optax), {rate}", adam(problem, y, answer)
+    start_values, answer_values = np.asarray(y), np.asarray(answer)
     if installed("torch", "PyTorch's Adam", "pip install torch", console):
-        descent = torch_adam(written_out(problem), here, there)
-        ways["torch_adam"] = f"Adam (PyTorch), {rate}", descent
+        descent = torch_adam(written_out(problem), start_values, answer_values)
+        methods["torch_adam"] = f"Adam (PyTorch), {rate}", descent
     if installed("lmfit", "lmfit", "pip install phongfit[benchmark]", console):
         low, high = problem.unknowns.lower, problem.unknowns.upper
         box = np.asarray(low), np.asarray(high)
-        minimization = lmfit_leastsq(written_out(problem), here, *box)
-        ways["lmfit"] = "lmfit `leastsq`", minimization
-    found = medians({key: way for key, (_, way) in ways.items()}, runs)
+        minimization = lmfit_leastsq(written_out(problem), start_values, *box)
+        methods["lmfit"] = "lmfit `leastsq`", minimization
+    timings = medians({key: method for key, (_, method) in methods.items()}, runs)
 
     def row(key: str) -> Row:
-        seconds, result = found[key]
+        seconds, result = timings[key]
         if key in ("fit", "search"):
             end, steps = answer, result.steps
         elif key in ("lm", "lm_one", "lm_normal"):
@@ -177,10 +177,10 @@ def rows(resolution: int, runs: int, console: Console) -> list[Row]:
         else:
             end, steps = result
         values = np.asarray(problem.unknowns.values(jnp.asarray(end, y.dtype)), float)
-        off = float(np.max(np.abs(values - fit.values) / fit.errors))
-        return Row(ways[key][0], key, seconds, int(steps), off)
+        distance = float(np.max(np.abs(values - fit.values) / fit.errors))
+        return Row(methods[key][0], key, seconds, int(steps), distance)
 
-    return [row(key) for key in ways]
+    return [row(key) for key in methods]
 
 
 def on_one_thread(work: Callable[[], Any]) -> Callable[[], Any]:
@@ -196,7 +196,7 @@ def on_one_thread(work: Callable[[], Any]) -> Callable[[], Any]:
 
 def installed(module: str, name: str, cure: str, console: Console) -> bool:
     """Whether a peer is installed; prints how to install it if not."""
-    found = importlib.util.find_spec(module) is not None
-    if not found:
+    is_installed = importlib.util.find_spec(module) is not None
+    if not is_installed:
         console.print(f"{name} is left out: {cure}", markup=False)
-    return found
+    return is_installed

@@ -1,10 +1,10 @@
-"""Texels by Mitsuba 3: its renderer, its Adam, and a lobe of ours written for it.
+"""Texels fitted by Mitsuba 3: its renderer and its Adam, with Blinn-Phong added.
 
-Mitsuba has no Blinn-Phong; a BSDF in Python whose highlight is that of ours makes its
-pictures agree with ours. Photographs come one after another, as its own examples of
-inverse rendering have them: their gradients are added up, then Adam takes a step.
+Mitsuba has no Blinn-Phong model; a BSDF in Python with phongfit's formulas makes its
+pictures agree with phongfit's. As in Mitsuba's examples of inverse rendering, the
+gradients of all photographs are added up, then Adam takes a step.
 
-Mitsuba wants a shared library of LLVM: `pip install mitsuba`, `apt install libllvm19`.
+Mitsuba needs a shared library of LLVM: `pip install mitsuba`, `apt install libllvm19`.
 LLVM 14 to 16 crash the process in Mitsuba 3.9's first program.
 """
 
@@ -27,20 +27,20 @@ RATE = 0.03
 # Start of Adam: reflectances in mid-range, f = 8.
 START = (0.5, 8.0)
 # Steps between two comparisons with the truth.
-LOOK = 10
+STEPS_PER_CHECK = 10
 VARIANT, LIBRARY = "llvm_ad_rgb", "DRJIT_LIBLLVM_PATH"
-TRY = f"""
+PROBE = f"""
 import mitsuba as mi
 mi.set_variant("{VARIANT}")
 mi.render(mi.load_dict(mi.cornell_box()), spp=1).numpy()
 """
 
 
-def is_there() -> bool:
+def mitsuba_works() -> bool:
     """Whether Mitsuba renders here, tried in another process since it may crash."""
     if LIBRARY not in os.environ and (newest := _newest_llvm()) is not None:
         os.environ[LIBRARY] = newest
-    tried = subprocess.run([sys.executable, "-c", TRY], capture_output=True)
+    tried = subprocess.run([sys.executable, "-c", PROBE], capture_output=True)
     return tried.returncode == 0
 
 
@@ -59,13 +59,13 @@ class Descent:
     """Result of Adam.
 
     - `seconds`: CPU time of the steps alone.
-    - `texels`: the texture; `few`: ρ_s and f of each material.
+    - `texels`: the texture; `shared`: ρ_s and f of each material.
     """
 
     seconds: float
     steps: int
     texels: Float[np.ndarray, "rows columns 3"]
-    few: Float[np.ndarray, "materials 2"]
+    shared: Float[np.ndarray, "materials 2"]
 
 
 class Mitsuba:
@@ -101,7 +101,7 @@ class Mitsuba:
         self.parameters = self.mi.traverse(self.scenes[0])
         keys = [key for key in self.parameters.keys() if ".bsdf." in key]
         (self.texels,) = (key for key in keys if key.endswith("diffuse.data"))
-        self.few = {
+        self.shared = {
             name: [key for key in keys if key.endswith(name)]
             for name in ("specular", "logarithm")
         }
@@ -109,8 +109,8 @@ class Mitsuba:
     def _part(self, mesh: pf.Mesh, which: int, texture: Any) -> Any:
         """Mitsuba's mesh of the faces of one material, without shared vertices."""
         assert mesh.uv is not None
-        own = np.asarray(mesh.material_index) == which
-        corners = np.asarray(mesh.faces)[own].ravel()
+        of_material = np.asarray(mesh.material_index) == which
+        corners = np.asarray(mesh.faces)[of_material].ravel()
         properties = self.mi.Properties()
         properties["bsdf"] = self.mi.load_dict(
             {
@@ -120,15 +120,17 @@ class Mitsuba:
                 "shininess": START[1],
             }
         )
-        count = int(own.sum())
-        made = self.mi.Mesh(f"part{which}", 3 * count, count, properties, True, True)
-        arrays = self.mi.traverse(made)
+        count = int(of_material.sum())
+        mesh_part = self.mi.Mesh(
+            f"part{which}", 3 * count, count, properties, True, True
+        )
+        arrays = self.mi.traverse(mesh_part)
         arrays["vertex_positions"] = _flat(np.asarray(mesh.vertices)[corners])
         arrays["vertex_normals"] = _flat(np.asarray(mesh.normals)[corners])
-        arrays["vertex_texcoords"] = _flat(np.asarray(mesh.uv)[own])
+        arrays["vertex_texcoords"] = _flat(np.asarray(mesh.uv)[of_material])
         arrays["faces"] = np.arange(3 * count, dtype=np.uint32)
         arrays.update()
-        return made
+        return mesh_part
 
     def _scene(self, scene: pf.Scene, parts: list[Any]) -> Any:
         (lamp,) = scene.lights
@@ -151,7 +153,7 @@ class Mitsuba:
 
     def _camera(self, camera: Any) -> Any:
         """A camera that looks through the middle of each pixel once."""
-        pose = pf.camera_to_world(camera, "mitsuba")
+        pose = pf.geometry.camera_to_world(camera, "mitsuba")
         return self.mi.load_dict(
             {
                 "type": "perspective",
@@ -171,12 +173,14 @@ class Mitsuba:
         )
 
     def picture(
-        self, which: int, texels: np.ndarray, few: np.ndarray
+        self, which: int, texels: np.ndarray, shared: np.ndarray
     ) -> Float[np.ndarray, "height width 3"]:
         """Render scene number `which` with these texels and these ρ_s and f."""
         unknowns = self._unknowns()
         unknowns["texels"] = self.mi.TensorXf(texels.astype(np.float32))
-        for name, values in zip(self.few, (few[:, 0], np.log(few[:, 1])), strict=True):
+        for name, values in zip(
+            self.shared, (shared[:, 0], np.log(shared[:, 1])), strict=True
+        ):
             for k, value in enumerate(values):
                 unknowns[f"{name}{k}"] = self.mi.Float(float(value))
         self._show(unknowns)
@@ -191,14 +195,14 @@ class Mitsuba:
         shape = self.dr.shape(self.parameters[self.texels])
         unknowns = self.mi.ad.Adam(lr=RATE)
         unknowns["texels"] = self.mi.TensorXf(np.full(shape, START[0], np.float32))
-        for name, value in zip(self.few, (START[0], np.log(START[1])), strict=True):
-            for k in range(len(self.few[name])):
+        for name, value in zip(self.shared, (START[0], np.log(START[1])), strict=True):
+            for k in range(len(self.shared[name])):
                 unknowns[f"{name}{k}"] = self.mi.Float(float(value))
         return unknowns
 
     def _show(self, unknowns: Any) -> None:
         self.parameters[self.texels] = unknowns["texels"]
-        for name, keys in self.few.items():
+        for name, keys in self.shared.items():
             for k, key in enumerate(keys):
                 self.parameters[key] = unknowns[f"{name}{k}"]
         self.parameters.update()
@@ -207,12 +211,12 @@ class Mitsuba:
         self,
         images: Sequence[np.ndarray],
         near_enough: Callable[[np.ndarray], bool],
-        most: int,
+        max_steps: int,
     ) -> Descent:
         """Minimise the mean square by Adam until the texels are near enough."""
         dr, targets = self.dr, [self.mi.TensorXf(one) for one in images]
         unknowns, seconds, steps = self._unknowns(), 0.0, 0
-        while steps < most:
+        while steps < max_steps:
             begin = time.process_time()
             for which, target in enumerate(targets):
                 # Rendered again for each target, since backward() frees the graph.
@@ -221,20 +225,22 @@ class Mitsuba:
                 dr.backward(dr.mean(dr.square(shown - target), axis=None))
             unknowns.step()
             unknowns["texels"] = dr.clip(unknowns["texels"], 0, 1)
-            for k in range(len(self.few["specular"])):
+            for k in range(len(self.shared["specular"])):
                 unknowns[f"specular{k}"] = dr.clip(unknowns[f"specular{k}"], 0, 1)
             dr.eval(unknowns["texels"])
             dr.sync_thread()
             seconds += time.process_time() - begin
             steps += 1
-            if steps % LOOK == 0 and near_enough(np.array(unknowns["texels"])):
+            if steps % STEPS_PER_CHECK == 0 and near_enough(
+                np.array(unknowns["texels"])
+            ):
                 break
         specular, logarithm = (
             [float(unknowns[f"{name}{k}"][0]) for k in range(len(keys))]
-            for name, keys in self.few.items()
+            for name, keys in self.shared.items()
         )
-        few = np.stack([specular, np.exp(logarithm)], axis=-1)
-        return Descent(seconds, steps, np.array(unknowns["texels"]), few)
+        shared = np.stack([specular, np.exp(logarithm)], axis=-1)
+        return Descent(seconds, steps, np.array(unknowns["texels"]), shared)
 
 
 def _flat(values: np.ndarray) -> np.ndarray:
@@ -242,7 +248,10 @@ def _flat(values: np.ndarray) -> np.ndarray:
 
 
 def _blinn(mi: Any, dr: Any) -> Callable[[Any], Any]:
-    """A class for Mitsuba with the formulas of [`BlinnPhong`][], not normalised."""
+    """A BSDF class for Mitsuba with the formulas of [`BlinnPhong`][], not normalised.
+
+    The parameters are a diffuse texture, ρ_s and log f.
+    """
 
     class Blinn(mi.BSDF):
         def __init__(self, properties: Any):
@@ -255,8 +264,8 @@ def _blinn(mi: Any, dr: Any) -> Callable[[Any], Any]:
 
         def traverse(self, callback: Any) -> None:
             for name in ("diffuse", "specular", "logarithm"):
-                own = getattr(self, name)
-                callback.put(name, own, mi.ParamFlags.Differentiable)
+                value = getattr(self, name)
+                callback.put(name, value, mi.ParamFlags.Differentiable)
 
         def sample(self, context: Any, point: Any, *rest: Any) -> Any:
             del context, point, rest

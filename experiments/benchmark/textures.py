@@ -31,7 +31,7 @@ from experiments.textured_object import (
     views,
 )
 
-MOST = 3000
+MAX_STEPS = 3000
 NEAR = 1.05
 
 
@@ -52,7 +52,7 @@ class Row:
     arrived: bool
 
 
-def rows(size: Size = SMALL, most: int = MOST) -> list[Row]:
+def rows(size: Size = SMALL, max_steps: int = MAX_STEPS) -> list[Row]:
     """Run `fit_texture`, and Adam through Mitsuba if it is installed."""
     mesh, true = vase(size.around, size.along), checkered(size.texels)
     painted = mesh.with_textures(pf.Textures(diffuse=pf.Texture(true)))
@@ -63,16 +63,18 @@ def rows(size: Size = SMALL, most: int = MOST) -> list[Row]:
 
     fit_texels(scenes, images, size)
     begin = time.process_time()
-    found = fit_texels(scenes, images, size)
+    fitted = fit_texels(scenes, images, size)
     taken = time.process_time() - begin
-    seen = found.seen[0] >= 3
+    seen = fitted.seen[0] >= 3
 
     def error(texels: np.ndarray) -> float:
         return float(np.sqrt(np.mean((texels - true)[seen] ** 2)))
 
-    ours = error(found.values["diffuse"][0])
-    made = [Row("phongfit, `fit_texture`", "texture", taken, found.steps, ours, True)]
-    if texture_peers.is_there():
+    ours = error(fitted.values["diffuse"][0])
+    result_rows = [
+        Row("phongfit, `fit_texture`", "texture", taken, fitted.steps, ours, True)
+    ]
+    if texture_peers.mitsuba_works():
         mitsuba = texture_peers.Mitsuba(scenes, size.texels)
 
         def near_enough(texels: np.ndarray) -> bool:
@@ -80,8 +82,8 @@ def rows(size: Size = SMALL, most: int = MOST) -> list[Row]:
 
         # Compiles.
         mitsuba.descend(images, near_enough, 2)
-        end = mitsuba.descend(images, near_enough, most)
+        end = mitsuba.descend(images, near_enough, max_steps)
         last = error(end.texels)
         adam = "Mitsuba 3, Adam", "mitsuba_adam", end.seconds, end.steps, last
-        made.append(Row(*adam, last <= NEAR * ours))
-    return made
+        result_rows.append(Row(*adam, last <= NEAR * ours))
+    return result_rows

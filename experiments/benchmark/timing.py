@@ -22,7 +22,7 @@ def seconds(work: Callable[[], object], runs: int = 3) -> float:
 
 
 def medians(
-    ways: dict[str, Callable[[], Any]], runs: int
+    functions: dict[str, Callable[[], Any]], runs: int
 ) -> dict[str, tuple[float, Any]]:
     """Median time and last result of each function, taking turns after two runs each.
 
@@ -30,18 +30,18 @@ def medians(
     then threads of the previous function may be busy. A function that has taken five
     seconds in all has no more turns after its third.
     """
-    for way in ways.values():
+    for function in functions.values():
         for _ in range(2):
-            way()
-    times: dict[str, list[float]] = {key: [] for key in ways}
+            function()
+    times: dict[str, list[float]] = {key: [] for key in functions}
     results = {}
     for _ in range(runs):
-        for key, way in ways.items():
+        for key, function in functions.items():
             if len(times[key]) >= FEWEST and sum(times[key]) > ENOUGH:
                 continue
-            taken, results[key] = _turn(way)
+            taken, results[key] = _turn(function)
             times[key].append(taken)
-    return {key: (float(np.median(times[key])), results[key]) for key in ways}
+    return {key: (float(np.median(times[key])), results[key]) for key in functions}
 
 
 def _turn(work: Callable[[], Any]) -> tuple[float, Any]:

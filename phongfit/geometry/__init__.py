@@ -1,2 +1,5 @@
-# `phongfit.shapes`, which the stub of phongfit names as a part of this package.
-from phongfit.geometry import shapes as shapes
+"""Surfaces, cameras and shading methods; its public names are in `__init__.pyi`."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

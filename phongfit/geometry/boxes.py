@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-# Most faces of a leaf, and most rays at a time.
-LEAF, RAYS = 8, 2**15
+# Largest number of faces in a leaf, and of rays that are traced together.
+MAX_LEAF_FACES, RAYS_PER_BATCH = 8, 2**15
 
 
 class _Box(NamedTuple):
@@ -43,61 +43,62 @@ class FaceTree:
 
         **Arguments:** `query`: `"INTERSECT"` for the first face, `"OCCLUDED"` for any.
         """
-        found = np.full(len(origin), -1)
-        reach = np.full(len(origin), np.inf) if limit is None else limit.astype(float)
-        for begin in range(0, len(origin), RAYS):
-            part = slice(begin, begin + RAYS)
+        hits = np.full(len(origin), -1)
+        limits = np.full(len(origin), np.inf) if limit is None else limit.astype(float)
+        for begin in range(0, len(origin), RAYS_PER_BATCH):
+            part = slice(begin, begin + RAYS_PER_BATCH)
             rays = origin[part].astype(float), direction[part].astype(float)
-            self._meet(*rays, reach[part].copy(), found[part], query == "OCCLUDED")
-        return found
+            self._intersect(*rays, limits[part].copy(), hits[part], query == "OCCLUDED")
+        return hits
 
-    def _meet(
+    def _intersect(
         self,
         origin: np.ndarray,
         direction: np.ndarray,
-        reach: np.ndarray,
-        found: np.ndarray,
-        any_will_do: bool,
+        limits: np.ndarray,
+        hits: np.ndarray,
+        any_hit: bool,
     ) -> None:
-        """Write the index of the face that each ray meets into `found`."""
+        """Write the index of the face that each ray meets into `hits`."""
         inverse = 1 / np.where(direction == 0, 1e-300, direction)
-        waiting = [(self._root, np.arange(len(origin)))]
-        while waiting:
-            box, rays = waiting.pop()
-            if any_will_do:
-                rays = rays[found[rays] < 0]
-            rays = rays[_enters(box, origin[rays], inverse[rays], reach[rays])]
+        stack = [(self._root, np.arange(len(origin)))]
+        while stack:
+            box, rays = stack.pop()
+            if any_hit:
+                rays = rays[hits[rays] < 0]
+            rays = rays[_intersects_box(box, origin[rays], inverse[rays], limits[rays])]
             if not rays.size:
                 continue
             if box.parts is not None:
-                waiting += [(one, rays) for one in box.parts]
+                stack += [(one, rays) for one in box.parts]
                 continue
             assert box.faces is not None
             corners = self._corners[box.faces]
             distance = _distances(corners, origin[rays], direction[rays])
             first = distance.argmin(axis=1)
             nearest = distance[np.arange(len(rays)), first]
-            nearer = nearest < reach[rays]
-            reach[rays[nearer]] = nearest[nearer]
-            found[rays[nearer]] = box.faces[first[nearer]]
+            nearer = nearest < limits[rays]
+            limits[rays[nearer]] = nearest[nearer]
+            hits[rays[nearer]] = box.faces[first[nearer]]
 
 
 def _box(corners: Float[np.ndarray, "faces 3 3"], faces: Int[np.ndarray, " k"]) -> _Box:
-    own = corners[faces]
-    low, high = own.min(axis=(0, 1)), own.max(axis=(0, 1))
+    """The box around some faces, split at the median along its longest axis."""
+    triangles = corners[faces]
+    low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     # Rounding must not exclude faces that lie in a side of the box.
-    slack = 1e-9 * (1 + np.abs(own).max())
-    if len(faces) <= LEAF:
+    slack = 1e-9 * (1 + np.abs(triangles).max())
+    if len(faces) <= MAX_LEAF_FACES:
         return _Box(low - slack, high + slack, faces, None)
-    middle = own.mean(axis=1)
+    middle = triangles.mean(axis=1)
     order = np.argsort(middle[:, np.argmax(np.ptp(middle, axis=0))], kind="stable")
     halves = np.array_split(faces[order], 2)
     parts = (_box(corners, halves[0]), _box(corners, halves[1]))
     return _Box(low - slack, high + slack, None, parts)
 
 
-def _enters(
-    box: _Box, origin: np.ndarray, inverse: np.ndarray, reach: np.ndarray
+def _intersects_box(
+    box: _Box, origin: np.ndarray, inverse: np.ndarray, limits: np.ndarray
 ) -> Bool[np.ndarray, " rays"]:
     """Whether rays intersect a box before they end.
 
@@ -107,7 +108,7 @@ def _enters(
     one, other = (box.low - origin) * inverse, (box.high - origin) * inverse
     near = np.minimum(one, other).max(axis=1)
     far = np.maximum(one, other).min(axis=1)
-    return (near <= far) & (far >= 0) & (near <= reach)
+    return (near <= far) & (far >= 0) & (near <= limits)
 
 
 def _distances(

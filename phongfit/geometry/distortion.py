@@ -17,12 +17,12 @@ from phongfit.vectors import Vec3, norm
 
 Place = Float[Array, "2"]
 
-# Steps of Newton's method. In the first `OUTWARDS` of `ROUNDS` steps the target moves
-# from the centre to its place, so that the solution stays on the branch through the
-# centre. Each later step doubles the number of correct digits.
-OUTWARDS, ROUNDS = 6, 14
+# In the first `CONTINUATION_STEPS` of Newton's method the target moves from the centre
+# to its place, so that the solution stays on the branch through the centre. Each later
+# step doubles the number of correct digits.
+CONTINUATION_STEPS, NEWTON_STEPS = 6, 14
 # Tolerance of a round trip through the distortion, relative to 1 + distance.
-MISS = 1e-3
+ROUND_TRIP_TOLERANCE = 1e-3
 
 
 class AbstractDistortion(eqx.Module):
@@ -58,20 +58,20 @@ class AbstractDistortion(eqx.Module):
         There is none where the formula folds the image back on itself; the direction is
         then a finite placeholder.
         """
-        ideal, found = _straightened(self, place)
+        ideal, found = _invert(self, place)
         return self.unproject(ideal), found
 
 
-def _straightened(
+def _invert(
     distortion: AbstractDistortion, place: Place
 ) -> tuple[Place, Bool[Array, ""]]:
     """The inverse of `bend`, by Newton's method, and whether there is one."""
-    at, found = _search(*jax.lax.stop_gradient((distortion, place)))
+    estimate, found = _search_inverse(*jax.lax.stop_gradient((distortion, place)))
     # Two more steps, from a known start, carry derivatives to second order.
     for _ in range(2):
-        move, _ = _newton(distortion, at, place)
-        at = at + jnp.where(found, move, 0)
-    return at, found
+        move, _ = _newton(distortion, estimate, place)
+        estimate = estimate + jnp.where(found, move, 0)
+    return estimate, found
 
 
 def _is_unfolded(distortion: AbstractDistortion, ideal: Place) -> Bool[Array, ""]:
@@ -79,35 +79,39 @@ def _is_unfolded(distortion: AbstractDistortion, ideal: Place) -> Bool[Array, ""
 
     Beyond the fold a place has the same image as another one nearer to the centre.
     """
-    constant, at = jax.lax.stop_gradient((distortion, ideal))
-    back, found = _search(constant, constant.bend(at))
-    return found & (norm(back - at) <= MISS * (1 + norm(at)))
+    constant, estimate = jax.lax.stop_gradient((distortion, ideal))
+    back, found = _search_inverse(constant, constant.bend(estimate))
+    tolerance = ROUND_TRIP_TOLERANCE * (1 + norm(estimate))
+    return found & (norm(back - estimate) <= tolerance)
 
 
-def _search(constant: AbstractDistortion, end: Place) -> tuple[Place, Bool[Array, ""]]:
+def _search_inverse(
+    constant: AbstractDistortion, end: Place
+) -> tuple[Place, Bool[Array, ""]]:
     """The inverse of `bend` without derivatives, and whether there is one."""
 
     def step(number: Array, state: tuple[Place, Array]) -> tuple[Place, Array]:
-        at, sound = state
-        target = end * jnp.minimum((number + 1) / OUTWARDS, 1).astype(end.dtype)
-        move, unfolded = _newton(constant, at, target)
-        sound = sound & unfolded
-        return jnp.where(sound, at + move, at), sound
+        estimate, unfolded_so_far = state
+        fraction = jnp.minimum((number + 1) / CONTINUATION_STEPS, 1)
+        target = end * fraction.astype(end.dtype)
+        move, unfolded = _newton(constant, estimate, target)
+        unfolded_so_far = unfolded_so_far & unfolded
+        return jnp.where(unfolded_so_far, estimate + move, estimate), unfolded_so_far
 
     start = jnp.zeros_like(end), jnp.array(True)
-    at, found = jax.lax.fori_loop(0, ROUNDS, step, start)
+    estimate, found = jax.lax.fori_loop(0, NEWTON_STEPS, step, start)
     tolerance = 100 * float(jnp.finfo(end.dtype).eps) * (1 + norm(end))
-    return at, found & (norm(constant.bend(at) - end) < tolerance)
+    return estimate, found & (norm(constant.bend(estimate) - end) < tolerance)
 
 
 def _newton(
-    distortion: AbstractDistortion, at: Place, target: Place
+    distortion: AbstractDistortion, estimate: Place, target: Place
 ) -> tuple[Place, Bool[Array, ""]]:
-    """A Newton step from `at` towards bend(x) = `target`; whether `at` is unfolded."""
-    (a, b), (c, d) = jax.jacfwd(distortion.bend)(at)
+    """A Newton step towards bend(x) = `target`; and whether the image is unfolded."""
+    (a, b), (c, d) = jax.jacfwd(distortion.bend)(estimate)
     determinant = a * d - b * c
     unfolded = determinant > 0
-    x, y = target - distortion.bend(at)
+    x, y = target - distortion.bend(estimate)
     move = jnp.stack([d * x - b * y, a * y - c * x])
     return jnp.where(unfolded, move / jnp.where(unfolded, determinant, 1), 0), unfolded
 

@@ -180,7 +180,7 @@ def _neighbour(
 ) -> np.ndarray:
     """The point of each pixel's neighbour; its own where there is none."""
     padded = np.pad(points, ((1, 1), (1, 1), (0, 0)), mode="edge")
-    there = np.pad(mask, 1)
+    has_point = np.pad(mask, 1)
     height, width = mask.shape
     at = np.s_[1 + down : 1 + down + height, 1 + right : 1 + right + width]
-    return np.where(there[at][..., None], padded[at], points)
+    return np.where(has_point[at][..., None], padded[at], points)

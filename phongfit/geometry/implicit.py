@@ -129,15 +129,15 @@ class ImplicitSurface(AbstractSurface):
             return self.function(ray.at(distance))
 
         def step(carry: tuple[Array, Array, Array], i: Array) -> tuple[Any, None]:
-            found, entry, last = carry
-            here = near + (i + 1).astype(near.dtype) * width
-            now = value(here)
-            enters = ~found & (last > 0) & (now <= 0)
-            return (found | enters, jnp.where(enters, here, entry), now), None
+            has_entered, entry, last = carry
+            end = near + (i + 1).astype(near.dtype) * width
+            now = value(end)
+            enters = ~has_entered & (last > 0) & (now <= 0)
+            return (has_entered | enters, jnp.where(enters, end, entry), now), None
 
         start = (jnp.array(False), far, value(near))
-        (found, entry, _), _ = jax.lax.scan(step, start, jnp.arange(self.steps))
-        return found & through, entry - width, entry
+        (has_entered, entry, _), _ = jax.lax.scan(step, start, jnp.arange(self.steps))
+        return has_entered & through, entry - width, entry
 
     def _polish(self, ray: Ray, distance: Scalar, hit: Bool[Array, ""]) -> Scalar:
         r"""Improve `distance` by a Newton step; derivatives of every order are exact.

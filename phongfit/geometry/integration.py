@@ -33,17 +33,17 @@ from phongfit.edge import checked
 from phongfit.geometry.cameras import AbstractCamera, OrthographicCamera
 from phongfit.geometry.height import HeightField
 
-STEEPEST = 0.02
-"""Least cosine between normal and ray: at grazing views the slope is unknown."""
+MIN_COSINE = 0.02
+"""Least cosine between normal and ray; below it the slope is too uncertain."""
 
-FLOOR = 1.0
-"""Error of a normal with half the weight of an exact one, degrees."""
+HALF_WEIGHT_ERROR = 1.0
+"""Standard error at which a normal has half the weight of an exact one, degrees."""
 
-VAGUE = 1e-4
+UNIDENTIFIED_WEIGHT = 1e-4
 """Weight of a pixel whose normal is not identified: it follows its neighbours."""
 
-WIDEST, SHARPEST, ROUNDS = 2.0, 0.1, 20
-"""Scale of the robust weights, pixels: the first and the last; and most iterations."""
+FIRST_SCALE, LAST_SCALE, MAX_ITERATIONS = 2.0, 0.1, 20
+"""First and last scale of the robust weights, pixels, and the number of iterations."""
 
 
 class _Pairs(NamedTuple):
@@ -120,21 +120,24 @@ def integrate_normals(
         errors = _of_size("stderr", stderr, size).astype(float)
         if not np.all(errors[inside] >= 0):
             raise ValueError("stderr: expected degrees ≥ 0")
-        weight = FLOOR**2 / (FLOOR**2 + np.minimum(errors, 1e6) ** 2)
-    away = _far(distance, camera)
+        weight = 1 / (1 + (np.minimum(errors, 1e6) / HALF_WEIGHT_ERROR) ** 2)
+    default_depth = _default_depth(distance, camera)
     rays = _rays(camera)
-    facing = -np.sum(field * rays.direction, axis=-1) > STEEPEST * length
-    sound = inside & facing & (weight > VAGUE)
-    field = _filled(field / np.maximum(length, 1e-30)[..., None], sound)
-    weight = np.where(sound, weight, VAGUE)
+    facing = -np.sum(field * rays.direction, axis=-1) > MIN_COSINE * length
+    valid = inside & facing & (weight > UNIDENTIFIED_WEIGHT)
+    field = _fill_invalid(field / np.maximum(length, 1e-30)[..., None], valid)
+    weight = np.where(valid, weight, UNIDENTIFIED_WEIGHT)
     pieces = label_pieces(inside)
     steps = _solve(_pairs(field, inside, rays), weight[inside], int(inside.sum()))
     u = np.full(size, np.nan)
     u[inside] = steps
-    known = None if depth is None else _of_size("depth", depth, size).astype(float)
-    along = _placed(u, pieces, rays.parallel, known, away)
-    height = float(np.dot(camera.position, camera.rotation[:, 2])) - along
-    return HeightField(height, pieces, camera, _words(inside, sound, pieces, known))
+    known_depth = np.full(size, np.nan)
+    if depth is not None:
+        known_depth = _of_size("depth", depth, size).astype(float)
+    depths = _depths(u, pieces, rays.parallel, known_depth, default_depth)
+    height = float(np.dot(camera.position, camera.rotation[:, 2])) - depths
+    warnings = _warnings(inside, valid, pieces, known_depth)
+    return HeightField(height, pieces, camera, warnings)
 
 
 class _Rays(NamedTuple):
@@ -162,29 +165,29 @@ def _pairs(
     """All pairs of neighbours: those in rows, then those in columns."""
     number = np.cumsum(inside).reshape(inside.shape) - 1
     parts = []
-    for one, other in (
+    for first, second in (
         (np.s_[:, :-1], np.s_[:, 1:]),
         (np.s_[:-1], np.s_[1:]),
     ):
-        both = inside[one] & inside[other]
-        mean = (normals[one][both] + normals[other][both]) / 2
+        both = inside[first] & inside[second]
+        mean = (normals[first][both] + normals[second][both]) / 2
         start, end = (
             rays.origin[at][both] if rays.parallel else rays.direction[at][both]
-            for at in (one, other)
+            for at in (first, second)
         )
         # Both formulas for `step` are derived in the module's docstring.
         if rays.parallel:
-            cosine = np.maximum(mean[:, 2], STEEPEST)
+            cosine = np.maximum(mean[:, 2], MIN_COSINE)
             step = -np.sum(mean * (end - start), axis=1) / cosine
         else:
             near, far = (
-                np.maximum(-np.sum(mean * ray, axis=1), STEEPEST)
+                np.maximum(-np.sum(mean * ray, axis=1), MIN_COSINE)
                 for ray in (start, end)
             )
             step, cosine = np.log(near / far), (near + far) / 2
         pixel = np.linalg.norm(end - start, axis=1)
         parts.append(
-            _Pairs(number[one][both], number[other][both], step, cosine, pixel)
+            _Pairs(number[first][both], number[second][both], step, cosine, pixel)
         )
     return _Pairs(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
@@ -196,14 +199,14 @@ def _solve(
     ends = weight[pairs.first], weight[pairs.second]
     base = pairs.cosine**2 * 2 / (1 / ends[0] + 1 / ends[1]) / pairs.pixel**2
     heights = _least_squares(pairs, base, np.zeros(count))
-    width = WIDEST
-    for _ in range(ROUNDS):
-        off = heights[pairs.second] - heights[pairs.first] - pairs.step
-        gap = np.abs(pairs.cosine * off / pairs.pixel)
-        if gap.max(initial=0) < SHARPEST:
+    width = FIRST_SCALE
+    for _ in range(MAX_ITERATIONS):
+        residual = heights[pairs.second] - heights[pairs.first] - pairs.step
+        gap = np.abs(pairs.cosine * residual / pairs.pixel)
+        if gap.max(initial=0) < LAST_SCALE:
             break
         heights = _least_squares(pairs, base / (1 + (gap / width) ** 2) ** 2, heights)
-        width = max(0.7 * width, SHARPEST)
+        width = max(0.7 * width, LAST_SCALE)
     return heights
 
 
@@ -234,14 +237,13 @@ def _least_squares(
     system = csr_array(difference.T @ (difference * weight[:, None]))
     # Neighbours do not determine the mean height of a piece. A tiny weight on `start`
     # makes the system regular.
-    held = 1e-10 * system.diagonal().max()
-    system = csr_array(system + held * _identity(len(start)))
-    right = difference.T @ (weight * pairs.step) + held * start
+    regularisation = 1e-10 * system.diagonal().max()
+    system = csr_array(system + regularisation * _identity(len(start)))
+    right = difference.T @ (weight * pairs.step) + regularisation * start
     levels = pyamg.ruge_stuben_solver(system, coarse_solver="splu")
-    found, _ = cg(
-        system, right, start, rtol=1e-8, maxiter=200, M=levels.aspreconditioner()
-    )
-    return found
+    preconditioner = levels.aspreconditioner()
+    solution, _ = cg(system, right, start, rtol=1e-8, maxiter=200, M=preconditioner)
+    return solution
 
 
 def _identity(size: int) -> Any:
@@ -260,51 +262,51 @@ def label_pieces(
     return pieces
 
 
-def _filled(
+def _fill_invalid(
     normals: Float[np.ndarray, "height width 3"],
-    sound: Bool[np.ndarray, "height width"],
+    valid: Bool[np.ndarray, "height width"],
 ) -> Float[np.ndarray, "height width 3"]:
-    """Replace each normal that is not `sound` by that of the nearest sound pixel.
+    """Replace each normal that is not `valid` by that of the nearest valid pixel.
 
-    If no pixel is sound, all normals face the camera.
+    If no pixel is valid, all normals face the camera.
     """
     from scipy.ndimage import distance_transform_edt
 
-    if sound.all():
+    if valid.all():
         return normals
-    if not sound.any():
+    if not valid.any():
         return np.broadcast_to([0.0, 0.0, 1.0], normals.shape)
     nearest = distance_transform_edt(
-        ~sound, return_distances=False, return_indices=True
+        ~valid, return_distances=False, return_indices=True
     )
     return normals[tuple(nearest)]  # pyright: ignore
 
 
-def _placed(
+def _depths(
     u: Float[np.ndarray, "height width"],
     pieces: Int[np.ndarray, "height width"],
     parallel: bool,
-    known: Float[np.ndarray, "height width"] | None,
+    known_depth: Float[np.ndarray, "height width"],
     default_depth: float,
 ) -> Float[np.ndarray, "height width"]:
     """Depth of every pixel.
 
     `u` is a height (parallel rays) or a log depth (pinhole), up to a constant for each
-    piece. The constant makes the median depth of the pixels with a `known` depth (not
-    NaN) that of `known`. A piece without any gets the median depth `default_depth`.
+    piece. The constant makes the median depth of pixels with a `known_depth` (not
+    NaN) that of `known_depth`. A piece without any gets the median `default_depth`.
     """
     from scipy.ndimage import median
 
     index = np.arange(1, int(pieces.max()) + 1)
     median_depth = np.full(len(index), default_depth)
-    known_depth = np.full(u.shape, np.nan) if known is None else known
     has_depth = np.isfinite(known_depth) & (pieces > 0)
     median_u = np.asarray(median(u, pieces, index))
     if has_depth.any():
         marked = np.where(has_depth, pieces, 0)
-        some = np.isin(index, marked)
-        median_depth[some] = np.asarray(median(known_depth, marked, index[some]))
-        median_u[some] = np.asarray(median(u, marked, index[some]))
+        is_known = np.isin(index, marked)
+        numbers = index[is_known]
+        median_depth[is_known] = np.asarray(median(known_depth, marked, numbers))
+        median_u[is_known] = np.asarray(median(u, marked, numbers))
     if not parallel and not np.all(median_depth > 0):
         raise ValueError(
             "distance: expected the distance from the pinhole to the surface, > 0 "
@@ -318,7 +320,8 @@ def _placed(
     return median_depth[piece] * np.exp(u - median_u[piece])
 
 
-def _far(distance: float | None, camera: AbstractCamera) -> float:
+def _default_depth(distance: float | None, camera: AbstractCamera) -> float:
+    """The given distance; by default that of the world's origin along the axis."""
     if distance is None:
         return float(np.dot(camera.position, camera.rotation[:, 2]))
     if not np.isfinite(distance) or not distance > 0:
@@ -326,30 +329,31 @@ def _far(distance: float | None, camera: AbstractCamera) -> float:
     return float(distance)
 
 
-def _words(
+def _warnings(
     inside: np.ndarray,
-    sound: np.ndarray,
+    valid: np.ndarray,
     pieces: np.ndarray,
-    known: np.ndarray | None,
+    known_depth: np.ndarray,
 ) -> tuple[str, ...]:
-    words = []
+    """Warnings of pieces of unknown depth, and of pixels without a valid normal."""
+    warnings = []
     count = int(pieces.max())
-    placed = set() if known is None else {*pieces[np.isfinite(known)].tolist()} - {0}
+    placed = {*pieces[np.isfinite(known_depth)].tolist()} - {0}
     if count > 1 and len(placed) < count:
-        found = (
+        problem = (
             f"mask: it consists of {count} pieces, whose relative depth normals do not "
             f"determine: {count - len(placed)} of them are put at the same depth"
         )
-        words.append(coded("separate-pieces", found))
-    vague = int((inside & ~sound).sum())
-    if vague:
-        found = (
-            f"normals: {vague:,} of {int(inside.sum()):,} pixels do not identify their "
-            "normal, or it points away from the camera: there the surface is "
+        warnings.append(coded("separate-pieces", problem))
+    invalid = int((inside & ~valid).sum())
+    if invalid:
+        problem = (
+            f"normals: {invalid:,} of {int(inside.sum()):,} pixels do not identify "
+            "their normal, or it points away from the camera: there the surface is "
             "interpolated"
         )
-        words.append(coded("vague-normals", found))
-    return tuple(words)
+        warnings.append(coded("vague-normals", problem))
+    return tuple(warnings)
 
 
 def _as_normals(normals: Any) -> Float[np.ndarray, "height width 3"]:

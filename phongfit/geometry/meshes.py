@@ -54,7 +54,8 @@ class Corners(eqx.Module):
     """All pairs of a vertex and a material that occur, and the pairs of each face.
 
     Light at a vertex depends on its material, so a vertex between two materials is lit
-    twice.
+    twice. `vertex` and `material` have an entry for each pair; `pair` has the numbers
+    of the pairs at the corners of each face.
     """
 
     vertex: Int[Array, " pairs"]
@@ -70,11 +71,12 @@ class Corners(eqx.Module):
         material = (
             np.zeros(len(faces), int) if material_index is None else material_index
         )
+        # A pair is coded as one number, so that `unique` numbers the pairs that occur.
         count = int(material.max()) + 1
-        key = faces.astype(np.int64) * count + material[:, None]
-        used, pair = np.unique(key, return_inverse=True)
-        self.vertex = jnp.asarray((used // count).astype(np.int32))
-        self.material = jnp.asarray((used % count).astype(np.int32))
+        code = faces.astype(np.int64) * count + material[:, None]
+        codes, pair = np.unique(code, return_inverse=True)
+        self.vertex = jnp.asarray((codes // count).astype(np.int32))
+        self.material = jnp.asarray((codes % count).astype(np.int32))
         self.pair = jnp.asarray(pair.reshape(faces.shape).astype(np.int32))
 
 
@@ -169,12 +171,13 @@ class Mesh(AbstractSurface):
         index = self.material_index
         self.corners = Corners(faces, None if index is None else np.asarray(index))
         self.uv = _as_uv(uv, len(faces))
-        chosen = _as_textures(textures, self.uv, self._materials, given_count)
-        if chosen is not None and source_vertex is not None:
-            chosen = tuple(
-                one.rearranged(lambda rows: rows[source_vertex]) for one in chosen
+        textures = _as_textures(textures, self.uv, self._materials, given_count)
+        if textures is not None and source_vertex is not None:
+            textures = tuple(
+                texture.rearranged(lambda rows: rows[source_vertex])
+                for texture in textures
             )
-        self.textures = chosen
+        self.textures = textures
         self.weighting = weighting
         self.two_sided = bool(two_sided)
 
@@ -208,8 +211,8 @@ class Mesh(AbstractSurface):
     def exponents(self, gbuffer: GBuffer) -> Float[Array, "*pixels"] | None:
         if self.textures is None:
             return None
-        found = looked_up("shininess", self.textures, self.place(gbuffer))
-        return None if found is None else found[..., 0]
+        factor = looked_up("shininess", self.textures, self.place(gbuffer))
+        return None if factor is None else factor[..., 0]
 
     def vertex_normals(self) -> Float[Array, "vertices 3"]:
         """Unit normals of the vertices, as given or from the faces around them."""
@@ -224,7 +227,7 @@ class Mesh(AbstractSurface):
     @checked
     def trace(self, camera: AbstractCamera) -> GBuffer:
         triangles = self.vertices, self.faces
-        rays, seen, inside = _aim(*triangles, camera, self.two_sided)
+        rays, seen, inside = _camera_rays(*triangles, camera, self.two_sided)
         inside = jax.lax.stop_gradient(inside)
         if isinstance(inside, Tracer):
             seen = eqx.error_if(seen, inside, "camera: its position lies in a face")
@@ -249,7 +252,7 @@ class Mesh(AbstractSurface):
     ) -> Bool[Array, "*batch"]:
         triangles = self.vertices, self.faces
         ray = Ray(position, to_light)
-        rays, distance = _off_the_face(*triangles, normal, ray, distance)
+        rays, distance = _lift_rays(*triangles, normal, ray, distance)
         return ~blocked(*triangles, rays, distance)
 
 
@@ -288,7 +291,7 @@ def _as_textures(
 
 
 @program()
-def _off_the_face(
+def _lift_rays(
     vertices: Float[Array, "vertices 3"],
     faces: Int[Array, "faces 3"],
     normal: Float[Array, "*batch 3"],
@@ -323,7 +326,7 @@ def _in_face(point: Vec3, a: Vec3, b: Vec3, c: Vec3, slack: Array) -> Bool[Array
 
 
 @program("two_sided")
-def _aim(
+def _camera_rays(
     vertices: Float[Array, "vertices 3"],
     faces: Int[Array, "faces 3"],
     camera: AbstractCamera,
@@ -367,13 +370,14 @@ def barycentrics(ray: Ray, a: Vec3, b: Vec3, c: Vec3) -> Vec3:
 def _interpolate(
     mesh: Mesh, camera: AbstractCamera, rays: Ray, face: Int[Array, "height width"]
 ) -> GBuffer:
+    """The geometry buffer, from the face that each ray hits first (−1: none)."""
     mask = face >= 0
     face = jnp.where(mask, face, 0)
     corners = mesh.faces[face]
     a, b, c = jnp.moveaxis(mesh.vertices[corners], -2, 0)
     weights = jax.vmap(jax.vmap(barycentrics))(rays, a, b, c)
-    first = jnp.eye(3, dtype=weights.dtype)[0]
-    weights = jnp.where(mask[..., None], weights, first)
+    at_first_corner = jnp.eye(3, dtype=weights.dtype)[0]
+    weights = jnp.where(mask[..., None], weights, at_first_corner)
 
     def mean(values: Array) -> Array:
         return jnp.sum(weights[..., None] * values[corners], axis=-2)
@@ -388,7 +392,7 @@ def _interpolate(
     if mesh.uv is not None:
         uv = jnp.sum(weights[..., None] * mesh.uv[face], axis=-2)
         place = Place(corners, weights, uv, index)
-        normal = _bumped(mesh, normal, face, place)
+        normal = _apply_normal_maps(mesh, normal, face, place)
     if mesh.two_sided:
         behind = jnp.sum(surface_normal * to_viewer, axis=-1, keepdims=True) < 0
         normal = jnp.where(behind, -normal, normal)
@@ -406,7 +410,7 @@ def _interpolate(
     )
 
 
-def _bumped(
+def _apply_normal_maps(
     mesh: Mesh,
     normal: Float[Array, "height width 3"],
     face: Int[Array, "height width"],
@@ -478,21 +482,22 @@ def join(meshes: Iterable[Mesh]) -> Mesh:
     textures: list[Textures] = []
     for mesh in meshes:
         index = mesh.material_index
-        own = np.zeros(len(mesh.faces), int) if index is None else np.asarray(index)
-        given = mesh.textures or (Textures(),)
-        given = given * (mesh.materials // len(given))
+        index = np.zeros(len(mesh.faces), int) if index is None else np.asarray(index)
+        textures_of_mesh = mesh.textures or (Textures(),)
+        textures_of_mesh *= mesh.materials // len(textures_of_mesh)
         # Vertices of the other meshes, which have other materials: the factor is 1.
         ends = (vertices, total - vertices - len(mesh.vertices)), (0, 0)
         padded = functools.partial(jnp.pad, pad_width=ends, constant_values=1)
-        textures += [one.rearranged(padded) for one in given]
+        textures += [texture.rearranged(padded) for texture in textures_of_mesh]
         faces.append(np.asarray(mesh.faces) + vertices)
-        indices.append(own + materials)
+        indices.append(index + materials)
         vertices += len(mesh.vertices)
         materials += mesh.materials
     # Meshes may compute normals in different ways, so computed normals are joined.
-    given = len({(m.weighting, m.normals is None) for m in meshes}) > 1
-    given = given or meshes[0].normals is not None
-    normals = jnp.concatenate([m.vertex_normals() for m in meshes]) if given else None
+    normals = None
+    differ = len({(mesh.weighting, mesh.normals is None) for mesh in meshes}) > 1
+    if differ or meshes[0].normals is not None:
+        normals = jnp.concatenate([mesh.vertex_normals() for mesh in meshes])
     return Mesh(
         jnp.concatenate([mesh.vertices for mesh in meshes]),
         np.concatenate(faces),

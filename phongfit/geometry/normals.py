@@ -38,8 +38,8 @@ def face_normals(
 
 def _angle(corner: Vec3, following: Vec3, preceding: Vec3) -> Scalar:
     """Angle at a triangle's corner, radians: finite where two corners coincide."""
-    one, other = following - corner, preceding - corner
-    sine, cosine = norm(jnp.cross(one, other)), dot(one, other)
+    edge_1, edge_2 = following - corner, preceding - corner
+    sine, cosine = norm(jnp.cross(edge_1, edge_2)), dot(edge_1, edge_2)
     degenerate = (sine == 0) & (cosine == 0)
     return jnp.arctan2(sine, jnp.where(degenerate, 1, cosine))
 
@@ -122,15 +122,15 @@ def split_creases(
     low = np.where(start < end, corner, after)
     high = np.where(start < end, after, corner)
     order = np.lexsort(edge.T)
-    one, other = order[:-1], order[1:]
-    smooth = (edge[one] == edge[other]).all(axis=1)
-    cosine = (normals[one // 3] * normals[other // 3]).sum(axis=1)
+    first, second = order[:-1], order[1:]
+    smooth = (edge[first] == edge[second]).all(axis=1)
+    cosine = (normals[first // 3] * normals[second // 3]).sum(axis=1)
     smooth &= cosine >= np.cos(np.deg2rad(angle)) - 1e-9
-    one, other = one[smooth], other[smooth]
+    first, second = first[smooth], second[smooth]
 
     # Corners that meet at a smooth edge are one vertex.
-    rows = np.concatenate([low[one], high[one]])
-    columns = np.concatenate([low[other], high[other]])
+    rows = np.concatenate([low[first], high[first]])
+    columns = np.concatenate([low[second], high[second]])
     links = coo_array((np.ones(len(rows)), (rows, columns)), (faces.size, faces.size))
     count, group = connected_components(links, directed=False)
     vertex = np.zeros(count, faces.dtype)

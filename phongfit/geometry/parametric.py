@@ -18,8 +18,8 @@ from phongfit.geometry.normals import parametric_normal
 from phongfit.programs import program
 from phongfit.vectors import Scalar, Vec3, norm
 
-MOST = 2**16
-"""Steps along a parameter, at most."""
+MAX_STEPS = 2**16
+"""Largest number of steps along a parameter."""
 
 
 @checked
@@ -45,7 +45,9 @@ def tessellate(
 
     **Raises:** `ValueError` that names the argument.
     """
-    ends = _ends("u", u, "columns", columns), _ends("v", v, "rows", rows)
+    ends = _as_range("u", u), _as_range("v", v)
+    _check_steps("columns", columns)
+    _check_steps("rows", rows)
     _check_takes_two(function)
     point = jax.eval_shape(
         function, *(jax.ShapeDtypeStruct((), end.dtype) for end in ends)
@@ -60,7 +62,7 @@ def tessellate(
         # The function may read variables that change between calls: it is not cached.
         grid = jax.jit(functools.partial(_grid, function), static_argnums=(2, 3))
         vertices, normals = grid(*ends, columns, rows)
-    return Mesh(vertices, _cells(columns, rows), normals, two_sided=two_sided)
+    return Mesh(vertices, _cell_faces(columns, rows), normals, two_sided=two_sided)
 
 
 def _grid(
@@ -75,18 +77,18 @@ def _grid(
     vs = jnp.linspace(v[0], v[1], rows + 1)
     middle = (us[0] + us[-1]) / 2, (vs[0] + vs[-1]) / 2
 
-    def at(u: Scalar, v: Scalar) -> tuple[Vec3, Vec3]:
-        # At a pole the derivatives are parallel up to rounding, which would decide
-        # where the normal points. The normal of a nearby point is used instead.
-        close = np.sqrt(np.finfo(u.dtype).eps)
+    def point_and_normal(u: Scalar, v: Scalar) -> tuple[Vec3, Vec3]:
+        # At a pole the derivatives are parallel, so rounding would decide where the
+        # normal points. The normal of a point nearer to the middle is used instead.
+        small = np.sqrt(np.finfo(u.dtype).eps)
         along_u, along_v = jax.jacfwd(function, argnums=(0, 1))(u, v)
-        across = norm(jnp.cross(along_u, along_v))
-        pole = across <= close * jnp.maximum(norm(along_u), norm(along_v)) ** 2
-        shift = jnp.where(pole, close, 0)
-        inner_u, inner_v = u + shift * (middle[0] - u), v + shift * (middle[1] - v)
+        area = norm(jnp.cross(along_u, along_v))
+        pole = area <= small * jnp.maximum(norm(along_u), norm(along_v)) ** 2
+        inward = jnp.where(pole, small, 0)
+        inner_u, inner_v = u + inward * (middle[0] - u), v + inward * (middle[1] - v)
         return function(u, v), parametric_normal(function, inner_u, inner_v)
 
-    grid = jax.vmap(jax.vmap(at, in_axes=(0, None)), in_axes=(None, 0))
+    grid = jax.vmap(jax.vmap(point_and_normal, in_axes=(0, None)), in_axes=(None, 0))
     points, normals = grid(us, vs)
     return points.reshape(-1, 3), normals.reshape(-1, 3)
 
@@ -108,19 +110,22 @@ def _check_takes_two(function: Callable[..., Any]) -> None:
         ) from None
 
 
-def _ends(name: str, ends: Any, count_name: str, count: Any) -> Float[Array, "2"]:
+def _as_range(name: str, ends: Any) -> Float[Array, "2"]:
+    """First and last value of a parameter."""
     ends = as_floats(name, ends)
     if ends.shape != (2,):
         raise ValueError(f"{name}: expected shape (first, last), got {ends.shape}")
-    require(name, ends, np.isfinite, jnp.isfinite, "finite numbers")
-    if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MOST:
+    return require(name, ends, np.isfinite, jnp.isfinite, "finite numbers")
+
+
+def _check_steps(name: str, count: int) -> None:
+    if not 1 <= count <= MAX_STEPS:
         raise ValueError(
-            f"{count_name}: expected a whole number from 1 to {MOST}, got {count!r}"
+            f"{name}: expected a whole number from 1 to {MAX_STEPS}, got {count!r}"
         )
-    return ends
 
 
-def _cells(columns: int, rows: int) -> np.ndarray:
+def _cell_faces(columns: int, rows: int) -> np.ndarray:
     """Two triangles for each cell of a grid of vertices, counted row by row."""
     row, column = (index.ravel() for index in np.indices((rows, columns)))
     a = row * (columns + 1) + column

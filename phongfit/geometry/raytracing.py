@@ -58,6 +58,7 @@ def blocked(
 def _on_host(
     function: Callable[..., np.ndarray], result: jax.ShapeDtypeStruct, *arrays: Array
 ) -> Array:
+    """Call a function of NumPy arrays, by a callback if an array is traced."""
     # Derivatives stop here, which also makes the arrays concrete inside a plain `grad`.
     arrays = jax.lax.stop_gradient(arrays)
     if any(isinstance(array, Tracer) for array in arrays):
@@ -66,6 +67,7 @@ def _on_host(
 
 
 def _digest(arrays: tuple[np.ndarray, ...]) -> bytes:
+    """Hash of the shapes, types and contents of arrays."""
     digest = hashlib.blake2b(digest_size=16)
     for array in arrays:
         digest.update(repr((array.shape, array.dtype.str)).encode())
@@ -73,28 +75,28 @@ def _digest(arrays: tuple[np.ndarray, ...]) -> bytes:
     return digest.digest()
 
 
-def _remembered(size: int) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def _cache_last(size: int) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Keep the last `size` results of a function of arrays, by the arrays' content."""
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
-        known: dict[bytes, Any] = {}
+        results: dict[bytes, Any] = {}
         lock = threading.Lock()
 
         @functools.wraps(function)
-        def call(*given: Any) -> Any:
-            arrays = tuple(np.asarray(array) for array in given)
+        def call(*arguments: Any) -> Any:
+            arrays = tuple(np.asarray(array) for array in arguments)
             key = _digest(arrays)
             with lock:
-                result = known.get(key)
+                result = results.get(key)
             if result is None:
                 result = function(*arrays)
             with lock:
                 # Reinserted: the order of the dictionary is that of the last use.
-                known.pop(key, None)
-                known[key] = result
-                for oldest in list(known)[:-size]:
-                    del known[oldest]
-            # Not read from `known`, since another thread may have deleted it meanwhile.
+                results.pop(key, None)
+                results[key] = result
+                for oldest in list(results)[:-size]:
+                    del results[oldest]
+            # Not read from `results`: another thread may have deleted it meanwhile.
             return result
 
         return call
@@ -154,12 +156,12 @@ class _Tree:
         )
 
 
-@_remembered(4)
+@_cache_last(4)
 def _tree(vertices: np.ndarray, faces: np.ndarray) -> _Tree:
     return _Tree(vertices, faces)
 
 
-@_remembered(8)
+@_cache_last(8)
 def _first_faces(
     vertices: np.ndarray,
     faces: np.ndarray,
@@ -175,7 +177,7 @@ def _first_faces(
     return face.reshape(direction.shape[:-1])
 
 
-@_remembered(8)
+@_cache_last(8)
 def _blocked(
     vertices: np.ndarray,
     faces: np.ndarray,

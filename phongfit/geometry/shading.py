@@ -100,11 +100,11 @@ class PhongShading(AbstractShading):
         self, surface: AbstractSurface, camera: AbstractCamera, gbuffer: GBuffer
     ) -> LightingPoints:
         del surface, camera
-        own = gbuffer.surface_normal
+        surface_normal = gbuffer.surface_normal
         return LightingPoints(
             position=gbuffer.position,
             normal=gbuffer.normal,
-            surface_normal=gbuffer.normal if own is None else own,
+            surface_normal=gbuffer.normal if surface_normal is None else surface_normal,
             to_viewer=gbuffer.to_viewer,
             material_index=gbuffer.material_index,
         )
@@ -149,7 +149,7 @@ class GouraudShading(AbstractShading):
         self, surface: AbstractSurface, gbuffer: GBuffer
     ) -> Interpolation | None:
         mesh = _as_mesh(surface)
-        face, weights = _hits(gbuffer)
+        face, weights = _faces_and_weights(gbuffer)
         index = mesh.corners.pair[face]
         if mesh.two_sided:
             behind = _seen_from_behind(mesh, gbuffer)[..., None]
@@ -195,21 +195,24 @@ class FlatShading(AbstractShading):
     ) -> LightingPoints:
         del gbuffer
         mesh = _as_mesh(surface)
-        own = mesh.face_normals()
+        surface_normal = mesh.face_normals()
         if self.at == "centroid":
-            position, normal = jnp.mean(mesh.vertices[mesh.faces], axis=1), own
+            normal = surface_normal
+            position = jnp.mean(mesh.vertices[mesh.faces], axis=1)
         else:
             last = mesh.faces[:, 2]
             position, normal = mesh.vertices[last], mesh.vertex_normals()[last]
         to_viewer = jax.vmap(camera.to_viewer)(position)
-        front = LightingPoints(position, normal, own, to_viewer, mesh.material_index)
+        front = LightingPoints(
+            position, normal, surface_normal, to_viewer, mesh.material_index
+        )
         return _both_sides(front) if mesh.two_sided else front
 
     def interpolation(
         self, surface: AbstractSurface, gbuffer: GBuffer
     ) -> Interpolation | None:
         mesh = _as_mesh(surface)
-        index, weights = _hits(gbuffer)
+        index, weights = _faces_and_weights(gbuffer)
         if mesh.two_sided:
             behind = _seen_from_behind(mesh, gbuffer)
             index = jnp.where(behind, index + len(mesh.faces), index)
@@ -225,7 +228,7 @@ def _as_mesh(surface: AbstractSurface) -> Mesh:
     return surface
 
 
-def _hits(gbuffer: GBuffer) -> tuple[Array, Array]:
+def _faces_and_weights(gbuffer: GBuffer) -> tuple[Array, Array]:
     if gbuffer.face is None or gbuffer.barycentrics is None:
         raise ValueError("gbuffer: expected one traced from a mesh, with its faces")
     return gbuffer.face, gbuffer.barycentrics

@@ -65,14 +65,14 @@ def undistort(image: Any, camera: PinholeCamera, *, mask: Any = None) -> Undisto
     )
     if camera.distortion is None:
         return Undistorted(np.array(pixels), np.array(usable), straight)
-    found, known = _resampled(pixels.reshape(*size, -1), usable, camera)
+    resampled, known = _resample(pixels.reshape(*size, -1), usable, camera)
     return Undistorted(
-        np.asarray(found).reshape(pixels.shape), np.asarray(known), straight
+        np.asarray(resampled).reshape(pixels.shape), np.asarray(known), straight
     )
 
 
 @program()
-def _resampled(
+def _resample(
     image: Float[Array, "height width channels"],
     usable: Bool[Array, "height width"],
     camera: PinholeCamera,
@@ -89,13 +89,13 @@ def _resampled(
 
     # NaN where the lens has no image of the direction: a place outside the image.
     row, column = (jnp.nan_to_num(at, nan=-2.0) for at in over_pixels(source, camera))
-    known = _between((~usable).astype(image.dtype), row, column, 1.0) == 0
+    known = _interpolate((~usable).astype(image.dtype), row, column, 1.0) == 0
     image = jnp.where(usable[..., None], image, 0)
-    channels = jax.vmap(lambda channel: _between(channel, row, column, 0.0), -1, -1)
+    channels = jax.vmap(lambda channel: _interpolate(channel, row, column, 0.0), -1, -1)
     return jnp.where(known[..., None], channels(image), 0), known
 
 
-def _between(
+def _interpolate(
     channel: Float[Array, "height width"],
     row: Float[Array, "height width"],
     column: Float[Array, "height width"],

@@ -62,8 +62,8 @@ class JpegCompression:
                 f"sampling: expected {len(tables)} pairs, one a table, got "
                 f"{len(sampling)}"
             )
-        most = np.max(sampling, axis=0)
-        if np.any(most % np.array(sampling)):
+        largest = np.max(sampling, axis=0)
+        if np.any(largest % np.array(sampling)):
             raise ValueError(
                 "sampling: expected whole numbers that divide the largest, got "
                 f"{sampling}"
@@ -189,20 +189,22 @@ def compressed(
         xp.asarray(matrix, kind)
         for matrix in (jpeg.to_components, jpeg.from_components)
     )
-    middle = _middle(jpeg, kind)
-    planes = xp.round(_mixed(to, _padded(whole, jpeg))) - middle
-    read = []
+    offsets = _offsets(jpeg, kind)
+    planes = xp.round(_multiply_channels(to, _pad_to_blocks(whole, jpeg))) - offsets
+    decoded = []
     for k, (table, ratio) in enumerate(zip(jpeg.tables, jpeg.ratios, strict=True)):
         plane = planes[k]
         if ratio != (1, 1):
-            plane = xp.round(_reduced(plane, ratio))
+            plane = xp.round(_downsample(plane, ratio))
         step = xp.asarray(table, kind)[None, None]
         rounded = xp.round(cosines(plane) / step) * step
         plane = xp.clip(xp.round(_pixels(rounded)), -128, 127)
         if ratio != (1, 1):
-            plane = xp.round(_enlarged(plane, ratio))
-        read.append(plane)
-    shown = xp.clip(xp.round(_mixed(back, xp.stack(read) + middle)), 0, 255)
+            plane = xp.round(_upsample(plane, ratio))
+        decoded.append(plane)
+    shown = xp.clip(
+        xp.round(_multiply_channels(back, xp.stack(decoded) + offsets)), 0, 255
+    )
     return xp.moveaxis(shown[:, :height, :width], 0, -1)
 
 
@@ -229,20 +231,20 @@ def namespace(values: Any) -> Any:
     return np if isinstance(values, np.ndarray | np.generic) else jnp
 
 
-def _mixed(matrix: Any, planes: Any) -> Any:
+def _multiply_channels(matrix: Any, planes: Any) -> Any:
     """Multiply the channels of each pixel by a matrix; (rows, height, width)."""
     _, height, width = planes.shape
     return (matrix @ planes.reshape(len(planes), -1)).reshape(-1, height, width)
 
 
-def _middle(jpeg: JpegCompression, kind: Any) -> Any:
+def _offsets(jpeg: JpegCompression, kind: Any) -> Any:
     """Level of each component that is 0 in a file: 128, or 0 for colour differences."""
     count = len(jpeg.tables)
-    middle = [128, 0, 0] if count == 3 and jpeg.ycbcr else [128] * count
-    return np.array(middle, kind)[:, None, None]
+    offsets = [128, 0, 0] if count == 3 and jpeg.ycbcr else [128] * count
+    return np.array(offsets, kind)[:, None, None]
 
 
-def _padded(planes: Any, jpeg: JpegCompression) -> Any:
+def _pad_to_blocks(planes: Any, jpeg: JpegCompression) -> Any:
     """Pad planes to whole blocks: the last row and column are repeated."""
     xp = namespace(planes)
     down, across = jpeg.block
@@ -250,7 +252,7 @@ def _padded(planes: Any, jpeg: JpegCompression) -> Any:
     return xp.pad(planes, [(0, 0), (0, -height % down), (0, -width % across)], "edge")
 
 
-def _reduced(plane: Any, ratio: tuple[int, int]) -> Any:
+def _downsample(plane: Any, ratio: tuple[int, int]) -> Any:
     """Downsample a plane: each sample is the mean of its pixels."""
     down, across = ratio
     height, width = plane.shape
@@ -258,18 +260,18 @@ def _reduced(plane: Any, ratio: tuple[int, int]) -> Any:
     return cells.mean(axis=(1, 3))
 
 
-def _enlarged(plane: Any, ratio: tuple[int, int]) -> Any:
+def _upsample(plane: Any, ratio: tuple[int, int]) -> Any:
     """Upsample a plane to pixels: interpolated for ratios up to 2, else repeated."""
     xp = namespace(plane)
     for axis, times in enumerate(ratio):
         if max(ratio) > 2:
             plane = xp.repeat(plane, times, axis=axis)
         elif times == 2:
-            plane = _doubled(plane, axis)
+            plane = _double(plane, axis)
     return plane
 
 
-def _doubled(plane: Any, axis: int) -> Any:
+def _double(plane: Any, axis: int) -> Any:
     """Twice as many samples along an axis: 3/4 the nearest and 1/4 the next one."""
     xp = namespace(plane)
     wide = xp.moveaxis(plane, axis, -1)

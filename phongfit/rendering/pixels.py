@@ -88,7 +88,7 @@ class PixelTerms(eqx.Module):
             self.terms.specular(shininess),
             jnp.ones_like(self.terms.diffuse),
         )
-        spread = [self._spread(values) for values in at_points]
+        spread = [self._to_pixels(values) for values in at_points]
         if self.factors is not None:
             each = [getattr(self.factors, name) for name in COLOURED]
             spread = [one * by for one, by in zip(spread, each, strict=True)]
@@ -96,7 +96,7 @@ class PixelTerms(eqx.Module):
 
     def fog_light(self) -> Float[Array, "*batch rgb"]:
         """Light that the fog adds to each pixel."""
-        dark = jnp.zeros_like(self._spread(self.terms.diffuse))
+        dark = jnp.zeros_like(self._to_pixels(self.terms.diffuse))
         return dark if self.haze is None else self.haze(dark)
 
     def material_index(self) -> Int[Array, "*batch"] | None:
@@ -107,7 +107,7 @@ class PixelTerms(eqx.Module):
         # All points that a pixel interpolates belong to one face, so to one material.
         return index[self.interpolation.index[..., 0]]
 
-    def _spread(
+    def _to_pixels(
         self, values: Float[Array, "*points rgb"]
     ) -> Float[Array, "*batch rgb"]:
         if self.interpolation is not None:
@@ -123,9 +123,9 @@ class PixelTerms(eqx.Module):
         **Arguments:** `pixels`: flat indices, row by row: y · width + x.
         """
         whole = self.interpolation, self.haze, self.factors
-        interpolation, haze, factors = _rows(whole, pixels)
+        interpolation, haze, factors = _select_rows(whole, pixels)
         if interpolation is None:
-            chosen = _gather(self.terms, pixels)
+            chosen = _select_points(self.terms, pixels)
         elif isinstance(interpolation.index, Tracer):
             chosen = self.terms
         else:
@@ -133,7 +133,9 @@ class PixelTerms(eqx.Module):
             used, position = np.unique(corners, return_inverse=True)
             index = jnp.asarray(position.reshape(corners.shape).astype(np.int32))
             interpolation = Interpolation(index, interpolation.weight)
-            chosen = _gather(self.terms, jnp.asarray(np.resize(used, _size(used))))
+            chosen = _select_points(
+                self.terms, jnp.asarray(np.resize(used, _padded_count(used)))
+            )
         return PixelTerms(chosen, interpolation, haze, self.clamp, factors)
 
 
@@ -162,19 +164,19 @@ def with_model(terms: T, model: AbstractSpecular | None) -> T:
     return eqx.tree_at(own, terms, model, is_leaf=lambda leaf: leaf is None)
 
 
-def _size(used: np.ndarray) -> int:
+def _padded_count(used: np.ndarray) -> int:
     """Number of points rounded up to a power of 2 ≥ 64, since each size is compiled."""
     return 2 ** int(max(len(used) - 1, 63)).bit_length()
 
 
 @program()
-def _rows(arrays: T, pixels: Int[Array, " n"]) -> T:
+def _select_rows(arrays: T, pixels: Int[Array, " n"]) -> T:
     """Select pixels, by flat indices, from arrays of all pixels."""
     return jax.tree.map(lambda a: a.reshape(-1, a.shape[-1])[pixels], arrays)
 
 
 @program()
-def _gather(terms: ShadingTerms, index: Int[Array, " n"]) -> ShadingTerms:
+def _select_points(terms: ShadingTerms, index: Int[Array, " n"]) -> ShadingTerms:
     """Select points, by flat indices, from terms of all points."""
     *batch, _ = terms.diffuse.shape
     # Not `reshape(-1, …)`: without lights, some arrays are empty.

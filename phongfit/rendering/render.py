@@ -14,7 +14,7 @@ from phongfit.rendering.film import Film
 from phongfit.rendering.pixels import pixel_terms
 from phongfit.scene import Scene
 
-PLAIN = Film()
+DEFAULT_FILM = Film()
 """The default film. It is made once, since making one for each call takes longer than
 rendering a small image."""
 
@@ -59,7 +59,7 @@ def render(
         camera = scene.camera.finer(side)
         scene = dataclasses.replace(scene, camera=camera)
     gbuffer = scene.trace() if gbuffer is None else gbuffer
-    film = PLAIN if film is None else film
+    film = DEFAULT_FILM if film is None else film
     return _shade(scene, material, film, gbuffer, side)
 
 
@@ -72,6 +72,6 @@ def _shade(
     light = jnp.where(gbuffer.mask[..., None], light, background)
     if side > 1:
         rows, columns, channels = light.shape
-        apart = rows // side, side, columns // side, side, channels
-        light = jnp.mean(light.reshape(apart), axis=(1, 3))
+        blocks = rows // side, side, columns // side, side, channels
+        light = jnp.mean(light.reshape(blocks), axis=(1, 3))
     return film.expose(light)

@@ -45,8 +45,8 @@ class ResponseCurve:
             raise ValueError(f"light: expected {wanted}, got {ends}")
         # Steps must be representable in single precision.
         if not (np.diff(samples) > 0).all() or samples[1] < TINY:
-            at = int(np.argmin(np.diff(samples)))
-            step = f"{samples[at]:g} and then {samples[at + 1]:g}"
+            index = int(np.argmin(np.diff(samples)))
+            step = f"{samples[index]:g} and then {samples[index + 1]:g}"
             raise ValueError(f"light: expected {wanted}, got {step}")
         object.__setattr__(self, "light", tuple(samples.tolist()))
 
@@ -59,8 +59,8 @@ class ResponseCurve:
     def decode(self, numbers: Any) -> Any:
         """The inverse of [`encode`][]."""
         xp = namespace(numbers)
-        at, curve = self._samples(xp, numbers.dtype)
-        return xp.interp(numbers, at, curve).astype(numbers.dtype)
+        stored, curve = self._samples(xp, numbers.dtype)
+        return xp.interp(numbers, stored, curve).astype(numbers.dtype)
 
     def _samples(self, xp: Any, dtype: Any) -> tuple[Any, Any]:
         numbers = np.linspace(0, 1, len(self.light))

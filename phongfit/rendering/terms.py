@@ -1,4 +1,4 @@
-r"""The one idea: with geometry, lights and f fixed, the image is linear in ρ.
+r"""Basis images: with geometry, lights and f fixed, the image is linear in ρ.
 
 $$I = \text{emission} + \rho_a A + \rho_d D + \rho_s S(f)$$
 """
@@ -22,8 +22,8 @@ from phongfit.reflectance import AbstractSpecular, lambert
 from phongfit.scene import Scene
 from phongfit.vectors import Scalar, Vec3, normalize
 
-# Most lights that are unrolled; code for more is a loop, which compiles faster.
-AT_ONCE = 16
+# Largest number of lights that are unrolled; a loop over more compiles faster.
+MAX_UNROLLED = 16
 
 
 class ShadingTerms(eqx.Module):
@@ -61,7 +61,7 @@ class ShadingTerms(eqx.Module):
         cosines = jax.tree.map(lambda one: jnp.moveaxis(one, -1, 0), self.cosine)
         each = cosines, jnp.moveaxis(self.strength, -2, 0)
         none = jnp.zeros_like(self.diffuse)
-        return jax.lax.scan(add, none, each, unroll=AT_ONCE)[0]
+        return jax.lax.scan(add, none, each, unroll=MAX_UNROLLED)[0]
 
     def leaf(self, name: str, leaf: Float[Array, "..."]) -> Float[Array, "..."]:
         """A parameter of a [`Material`][] at each point, if there are many materials.
@@ -126,7 +126,7 @@ def point_terms(
     if visibility is None:
         visibility = jnp.ones(len(lights), dtype)
 
-    def of_light(light: AbstractLight, visible: Scalar) -> tuple[Any, ...]:
+    def light_terms(light: AbstractLight, visible: Scalar) -> tuple[Any, ...]:
         arriving = light.illuminate(position)
         fraction = model.diffuse_scale() * lambert(normal, arriving.to_light)
         diffuse_light = visible * fraction * arriving.intensity
@@ -137,14 +137,16 @@ def point_terms(
             visible * arriving.specular,
         )
 
-    if len(lights) > AT_ONCE:
-        ambients, diffuses, cosine, strength = _each(of_light, lights, visibility)
+    if len(lights) > MAX_UNROLLED:
+        ambients, diffuses, cosine, strength = _vectorised_terms(
+            light_terms, lights, visibility
+        )
         ambient, diffuse = ambient + ambients.sum(axis=0), diffuses.sum(axis=0)
         return ShadingTerms(ambient, diffuse, cosine, strength, model)
     diffuse = jnp.zeros_like(ambient)
     cosines, strengths = [], []
     for light, visible in zip(lights, visibility, strict=True):
-        ambient_k, diffuse_k, cosine_k, strength_k = of_light(light, visible)
+        ambient_k, diffuse_k, cosine_k, strength_k = light_terms(light, visible)
         ambient, diffuse = ambient + ambient_k, diffuse + diffuse_k
         cosines.append(cosine_k)
         strengths.append(strength_k)
@@ -162,8 +164,8 @@ def point_terms(
     )
 
 
-def _each(
-    of_light: Callable[[AbstractLight, Scalar], tuple[Any, ...]],
+def _vectorised_terms(
+    light_terms: Callable[[AbstractLight, Scalar], tuple[Any, ...]],
     lights: tuple[AbstractLight, ...],
     visibility: Float[Array, " lights"],
 ) -> tuple[Any, ...]:
@@ -174,13 +176,16 @@ def _each(
     kinds: dict[Any, list[int]] = {}
     for k, light in enumerate(lights):
         kinds.setdefault(jax.tree.structure(light), []).append(k)
-    found = []
+    parts_of_kinds = []
     for numbers in kinds.values():
         alike = [lights[k] for k in numbers]
         stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *alike)
-        found.append(jax.vmap(of_light)(stacked, visibility[np.array(numbers)]))
-    place = np.argsort([k for numbers in kinds.values() for k in numbers])
-    return jax.tree.map(lambda *parts: jnp.concatenate(parts)[place], *found)
+        parts_of_kinds.append(
+            jax.vmap(light_terms)(stacked, visibility[np.array(numbers)])
+        )
+    # Back to the order of the lights.
+    order = np.argsort([k for numbers in kinds.values() for k in numbers])
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts)[order], *parts_of_kinds)
 
 
 @checked
@@ -226,10 +231,10 @@ def terms(scene: Scene, gbuffer: GBuffer) -> ShadingTerms:
 
 
 def _exponents(scene: Scene, gbuffer: GBuffer) -> Float[Array, "*pixels"] | None:
-    found = scene.surface.exponents(gbuffer)
-    if found is not None:
+    factor = scene.surface.exponents(gbuffer)
+    if factor is not None:
         check_exponents(scene)
-    return found
+    return factor
 
 
 def check_exponents(scene: Scene) -> None:
@@ -259,10 +264,10 @@ def _visibility(
         return None
     wanted = (*points, len(scene.lights))
     if gbuffer.visibility is None or gbuffer.visibility.shape != wanted:
-        came = None if gbuffer.visibility is None else gbuffer.visibility.shape
+        got = None if gbuffer.visibility is None else gbuffer.visibility.shape
         raise ValueError(
             f"gbuffer: expected visibility of shape {wanted} for the shadows of this "
-            f"scene, got {came}: trace it with scene.trace()"
+            f"scene, got {got}: trace it with scene.trace()"
         )
     return gbuffer.visibility
 

@@ -22,6 +22,7 @@ from phongfit.files.gltf import roughness, specular_colour
 from phongfit.files.limits import as_blinn
 from phongfit.files.materials import read_material, write_material
 from phongfit.files.opengl_lines import opengl_lines
+from phongfit.microfacets import roughness_from_shininess
 from tests.helpers import floats, said
 
 BRASS = pf.preset("brass")
@@ -185,9 +186,7 @@ def test_facets_are_kept_as_gltf_has_them(model, tmp_path):
     assert main(["export", f"{tmp_path}/facets.json", "-o", f"{tmp_path}/a.gltf"]) == 0
     (written,) = json.loads((tmp_path / "a.gltf").read_text())["materials"]
     own = getattr(model, "roughness", None)
-    rough = (
-        float(pf.roughness_from_shininess(floats(30.0))) if own is None else float(own)
-    )
+    rough = float(roughness_from_shininess(floats(30.0))) if own is None else float(own)
     found = written["pbrMetallicRoughness"]["roughnessFactor"]
     assert found == pytest.approx(rough, rel=1e-5)
     tint = written["extensions"]["KHR_materials_specular"]["specularColorFactor"]

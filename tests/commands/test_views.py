@@ -29,7 +29,7 @@ def project(tmp_path):
     fx, fy, cx, cy, *lens = map(float, LENS.split())
     lines = []
     for at, place in enumerate(PLACES, 1):
-        axes = np.asarray(pf.look_at(place, (0, 0, 0)))
+        axes = np.asarray(pf.geometry.look_at(place, (0, 0, 0)))
         turn = (axes * [1, -1, -1]).T
         pose = [*quaternion(turn), *(-turn @ np.array(place))]
         lines += [f"{at} {' '.join(map(str, pose))} 1 images/{at}.png", ""]
@@ -39,7 +39,7 @@ def project(tmp_path):
             fy=fy,
             cx=cx,
             cy=cy,
-            distortion=pf.BrownDistortion(*lens),
+            distortion=pf.geometry.BrownDistortion(*lens),
             position=place,
             rotation=axes,
         )

@@ -9,7 +9,7 @@ import pytest
 
 import phongfit as pf
 from data_synth import make_dataset, make_lights
-from data_synth.lights import PEAK, WIDEST, exposure, spread_directions
+from data_synth.lights import PEAK, WIDEST, brightest_intensity, spread_directions
 from phongfit.files.dataset import Dataset
 
 MATTE = pf.Material(0.6, 0.0, 1.0, 0.5)
@@ -89,7 +89,9 @@ def test_default_lights_show_highlight_and_shadow(kind):
         made = _make(shiny, lights=[lights], ambient=0.0, bits=None)
         scene, image = made.scenes[0], made.images[0]
         assert image.max() > 0.5
-        diffuse = pf.terms(scene, pf.trace(scene.surface, scene.camera)).diffuse
+        diffuse = pf.terms(
+            scene, pf.geometry.trace(scene.surface, scene.camera)
+        ).diffuse
         assert 0 < np.mean(np.asarray(diffuse)[..., 0] == 0) < 0.7
 
 
@@ -127,4 +129,4 @@ def test_wrong_lights():
     camera = pf.OrthographicCamera(8, 8)
     scene = pf.Scene(pf.Sphere(), camera, make_lights(1), ambient=2.0)
     with pytest.raises(ValueError, match="ambient_light: .* nearly white by itself"):
-        exposure((scene,), MATTE)
+        brightest_intensity((scene,), MATTE)

@@ -111,7 +111,7 @@ def test_options_arrive(tmp_path):
     assert isinstance(scene.camera, pf.PerspectiveCamera)
     assert made.film == pf.Film(encoding="linear", bits=16)
     # The ball is in the middle and fills most of the image.
-    mask = np.asarray(pf.trace(scene.surface, scene.camera).mask)
+    mask = np.asarray(pf.geometry.trace(scene.surface, scene.camera).mask)
     assert np.array_equal(mask, mask[::-1, ::-1]) and 0.5 < mask.mean() < 0.8
 
 

@@ -8,7 +8,7 @@ from experiments.adding_light import EXPERIMENT
 def test_linear_light_adds_and_too_much_changes_colour(found):
     finding = found(EXPERIMENT)
     numbers = finding.numbers
-    assert not finding.wrong
+    assert not finding.failed_checks
     assert numbers["sum_error"] < 1e-6
     # Pictures as a screen shows them do not add up.
     assert numbers["shown_error"] > 0.1

@@ -111,7 +111,7 @@ def test_no_unknown_file_is_lost(found, tmp_path, capsys, monkeypatch):
 
 def test_what_fails_is_said(found, tmp_path, capsys, monkeypatch):
     first = every.EXPERIMENTS[0]
-    failed = dataclasses.replace(found(first), wrong=("the sum is < off",))
+    failed = dataclasses.replace(found(first), failed_checks=("the sum is < off",))
     broken = dataclasses.replace(first, find=lambda small: failed)
     monkeypatch.setattr(every, "EXPERIMENTS", (broken,))
     assert run(every.main, [str(tmp_path / "out"), "--small"]) == 1

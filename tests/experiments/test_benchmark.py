@@ -22,13 +22,13 @@ from experiments.benchmark import (
 )
 from experiments.benchmark.__main__ import (
     Ratio,
-    details,
     figure,
     main,
     map_details,
     map_ratios,
     normal_details,
     normal_ratio,
+    single_details,
     single_ratios,
     spread,
     table,
@@ -48,8 +48,8 @@ def test_all_ways_end_at_one_answer():
     with jax.numpy_dtype_promotion("standard"):
         found = single.rows(24, 1, Console())
     assert {"fit", "search", "lm", "lm_normal", "lmfit"} <= {row.key for row in found}
-    assert all(row.off < 0.1 for row in found if "adam" not in row.key)
-    assert len(details(found).splitlines()) == 2 + len(found)
+    assert all(row.distance < 0.1 for row in found if "adam" not in row.key)
+    assert len(single_details(found).splitlines()) == 2 + len(found)
     seconds = {row.key: row.seconds for row in found}
     for ratio in single_ratios(found):
         ours, theirs = ratio.key.split("_over_")[::-1]
@@ -149,20 +149,22 @@ def test_the_stack_is_what_a_map_takes_it_for(stack):
 def test_peers_of_a_map_end_at_its_answer(stack):
     values, errors = map_peers.as_rows(maps.fit_stack(stack))
     truth = stack.truth.reshape(-1, UNKNOWNS)
-    ways = {
+    methods = {
         "vmapped_lm": map_peers.vmapped_lm(stack, 40),
         "scipy_loop": map_peers.scipy_loop(stack, 10),
     }
     rows = [
         map_peers.judge(key, key, found, values, errors, truth)
-        for key, found in ways.items()
+        for key, found in methods.items()
     ]
     assert [row.pixels for row in rows] == [40, 10]
     for row in rows:
         assert row.seconds > 0 and row.converged > 0.9
-        assert row.alike > 0.9 and 0.9 < row.true < 1
-    off = dataclasses.replace(ways["scipy_loop"], values=values[:10] + errors[:10])
-    assert map_peers.judge("", "", off, values, errors, truth).alike == 0
+        assert row.as_map > 0.9 and 0.9 < row.near_truth < 1
+    shifted = dataclasses.replace(
+        methods["scipy_loop"], values=values[:10] + errors[:10]
+    )
+    assert map_peers.judge("", "", shifted, values, errors, truth).as_map == 0
     ours = dataclasses.replace(rows[0], key="map", seconds=rows[0].seconds / 9)
     lm, _ = map_ratios([ours, *rows])
     assert lm.key == "vmapped_lm_over_map" and lm.value == pytest.approx(9)
@@ -188,7 +190,7 @@ TEXELS = Size(8, 16, 12, 6, 2)
 
 @pytest.mark.extended
 def test_texels_without_a_peer(monkeypatch):
-    monkeypatch.setattr(texture_peers, "is_there", lambda: False)
+    monkeypatch.setattr(texture_peers, "mitsuba_works", lambda: False)
     rows = textures.rows(TEXELS)
     (ours,) = rows
     assert ours.seconds > 0 and ours.arrived and 0 < ours.error < 0.03
@@ -201,7 +203,7 @@ def test_texels_without_a_peer(monkeypatch):
 
 @pytest.fixture(scope="module")
 def mitsuba():
-    if not texture_peers.is_there():
+    if not texture_peers.mitsuba_works():
         pytest.skip("Mitsuba 3 does not render here")
     return texture_peers.Mitsuba(views(vase(12, 6), TEXELS), TEXELS.texels)
 
@@ -226,11 +228,11 @@ def test_adam_of_mitsuba_comes_near(mitsuba):
     few = np.concatenate([TRUTH.specular, TRUTH.shininess], axis=1)
     images = [mitsuba.picture(k, texels, few) for k in range(4)]
 
-    def off(found: np.ndarray) -> float:
+    def distance(found: np.ndarray) -> float:
         return float(np.median(np.abs(found - texels)))
 
-    end = mitsuba.descend(images, lambda found: off(found) < 0.01, 400)
-    assert 10 < end.steps < 400 and end.seconds > 0 and off(end.texels) < 0.01
+    end = mitsuba.descend(images, lambda found: distance(found) < 0.01, 400)
+    assert 10 < end.steps < 400 and end.seconds > 0 and distance(end.texels) < 0.01
 
 
 def test_a_row_says_whether_its_aim_is_met():

@@ -29,7 +29,9 @@ def test_a_table_of_them(monkeypatch, capsys):
     times = {"first": 6.0, "work": 8.0, "warm": 0.5}
     kept = times | {"first": 2.0}
     monkeypatch.setattr(compiling, "imports", lambda: 2.0)
-    monkeypatch.setattr(compiling, "apart", lambda *_: {"empty": times, "kept": kept})
+    monkeypatch.setattr(
+        compiling, "time_in_processes", lambda *_: {"empty": times, "kept": kept}
+    )
     compiling.main(images=(4,))
     text = capsys.readouterr().out
     assert "| exposure | 4 | 6.0 s | 3.0 × | 8.0 s | 2.0 s | 0.50 s |" in text

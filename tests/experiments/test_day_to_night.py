@@ -8,9 +8,11 @@ from experiments.day_to_night import EXPERIMENT, SOURCES, elevation
 def test_where_the_light_comes_from(found):
     finding = found(EXPERIMENT)
     numbers = finding.numbers
-    assert not finding.wrong and numbers["sum_error"] < 1e-6
-    hours, shares = numbers["hours"], numbers["shares"]
-    sun, moon, lamp, sky, fog = (shares[:, SOURCES.index(name)] for name in SOURCES)
+    assert not finding.failed_checks and numbers["sum_error"] < 1e-6
+    hours, light_by_source = numbers["hours"], numbers["light_by_source"]
+    sun, moon, lamp, sky, fog = (
+        light_by_source[:, SOURCES.index(name)] for name in SOURCES
+    )
     day = (hours > 7) & (hours < 17)
     night = (hours < 5) | (hours > 19)
     assert np.all(sun[day] > 0) and np.all(sun[night] == 0)
@@ -18,9 +20,9 @@ def test_where_the_light_comes_from(found):
     assert np.all(lamp[day] == 0) and np.all(sky > 0)
     noon = int(np.argmin(np.abs(hours - 12)))
     assert sun[noon] == sun.max() and sun[noon] > sky[noon]
-    assert shares[noon].sum() > 4 * shares[0].sum()
+    assert light_by_source[noon].sum() > 4 * light_by_source[0].sum()
     # Fog is thickest in the morning.
-    assert 5 < hours[np.argmax(fog / shares.sum(axis=1))] < 9
+    assert 5 < hours[np.argmax(fog / light_by_source.sum(axis=1))] < 9
 
 
 @pytest.mark.extended

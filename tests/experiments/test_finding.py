@@ -56,7 +56,7 @@ def test_help_says_what_is_asked(capsys):
 
 def test_what_should_hold_and_does_not(tmp_path, capsys):
     args = ["--picture", str(tmp_path / "string.png")]
-    assert run(experiment(wrong=("it is too short",)).command(), args) == 1
+    assert run(experiment(failed_checks=("it is too short",)).command(), args) == 1
     assert "! it is too short" in capsys.readouterr().out
 
 

@@ -12,7 +12,7 @@ from tests.helpers import floats, unit
 def test_phongs_exponent_is_a_quarter_of_blinns(found):
     finding = found(EXPERIMENT)
     ratio, residual = finding.numbers["ratio"], finding.numbers["residual"]
-    assert not finding.wrong
+    assert not finding.failed_checks
     # Lamp beside the viewer, narrow highlights: the rule holds to 2 %.
     np.testing.assert_allclose(ratio[-2:, 0], 0.25, rtol=0.02)
     # It is off for wide ones, and for lamps far around, where no exponent fits.

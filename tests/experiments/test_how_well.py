@@ -10,10 +10,10 @@ from experiments.how_well import (
     Spread,
     Sweep,
     failures,
+    measure_setting,
     relative,
     resolutions,
     root_mean_square,
-    spread,
 )
 
 
@@ -21,7 +21,7 @@ from experiments.how_well import (
 def test_fits_reach_the_bound(found):
     """Forty fits a setting: a spread is known to 11 %, three of which are 34 %."""
     finding = found(EXPERIMENT)
-    assert not finding.wrong
+    assert not finding.failed_checks
     settings = [one for group in finding.numbers.values() for one in group]
     ratios = np.array([
         observed / bound
@@ -71,7 +71,7 @@ def test_a_spread_off_the_bound_is_seen():
     ones = np.ones(4)
     right = Spread(0.01, ones, ones, ones, ones > 0, 200)
     sweep = Sweep("noise", "", ())
-    assert right.slack == pytest.approx(0.15)
+    assert right.tolerance == pytest.approx(0.15)
     assert failures([(sweep, [right])]) == ()
     wide = dataclasses.replace(right, observed=np.array([1.0, 1.0, 1.2, 1.0]))
     (words,) = failures([(sweep, [wide])])
@@ -98,5 +98,5 @@ def test_relative_errors():
 @pytest.mark.slow
 def test_fits_reach_the_bound_closely():
     (setting,) = resolutions([SIZE]).settings
-    ratio = spread(setting, 1000, 1).ratio
+    ratio = measure_setting(setting, 1000, 1).ratio
     assert np.all(np.abs(ratio - 1) < 3 / np.sqrt(2000))

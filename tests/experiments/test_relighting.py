@@ -9,7 +9,7 @@ import pytest
 import phongfit as pf
 from data_synth.lights import spread_directions
 from experiments import relighting
-from experiments.relighting import Lamps, Photographed, harmonics, polynomials, ratio
+from experiments.relighting import LitPhotographs, Split, harmonics, polynomials, psnr
 from phongfit.cli import run
 
 
@@ -33,17 +33,19 @@ def test_what_a_basis_holds_is_predicted_exactly(basis):
     images = (values @ rng.normal(size=(values.shape[1], 5 * 4 * 3))).reshape(
         -1, 5, 4, 3
     )
-    data = Photographed(
+    data = Split(
         "exact",
-        Lamps(directions[:30], images[:30]),
-        Lamps(directions[30:], images[30:]),
+        LitPhotographs(directions[:30], images[:30]),
+        LitPhotographs(directions[30:], images[30:]),
         "linear",
     )
-    np.testing.assert_allclose(relighting.regress(basis, data), images[30:], atol=1e-9)
+    np.testing.assert_allclose(
+        relighting.predict_by_regression(basis, data), images[30:], atol=1e-9
+    )
 
 
 def test_ratio():
-    assert ratio(np.full((2, 2, 3), 0.6), np.full((2, 2, 3), 0.5)) == pytest.approx(20)
+    assert psnr(np.full((2, 2, 3), 0.6), np.full((2, 2, 3), 0.5)) == pytest.approx(20)
 
 
 def write(folder: Path, count: int, listed: int) -> None:
@@ -68,7 +70,7 @@ def test_folders_as_they_come(tmp_path):
     domed = relighting.read(tmp_path / "domed")
     assert len(domed.fitted.images) == 8 and len(domed.left_out.images) == 3
     with pytest.raises(ValueError, match="expected an .lp file"):
-        relighting.read_lamps(tmp_path)
+        relighting.read_photographs(tmp_path)
 
 
 @pytest.mark.extended

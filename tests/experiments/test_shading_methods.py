@@ -15,7 +15,7 @@ from experiments.shading_methods import (
 def test_what_gouraud_loses_it_regains_on_finer_meshes(found):
     finding = found(EXPERIMENT)
     numbers = finding.numbers
-    assert not finding.wrong
+    assert not finding.failed_checks
     assert len(ROWS) == 5 and set(METHODS) == {"flat", "Gouraud", "Phong"}
     kept = numbers["peak"]["Gouraud"].mean(axis=-1)
     assert np.all(numbers["peak"]["Phong"] == 1)
@@ -31,7 +31,7 @@ def test_what_gouraud_loses_it_regains_on_finer_meshes(found):
 @pytest.mark.extended
 def test_when_gouraud_is_good_enough(found):
     finding = found(EXPERIMENT)
-    enough = finding.numbers["enough"]
+    enough = finding.numbers["fine_enough"]
     # One rule for all exponents: an edge of some half of the highlight's half width.
     assert len(enough) == len(EXPONENTS) and np.all((0.3 < enough) & (enough < 1))
     assert np.ptp(enough) < 0.5 * enough.mean()

@@ -30,15 +30,16 @@ def test_wrong_error_bars_are_seen():
     labels = ("good", "too narrow", "never inside")
     ratio, coverage = np.array([1.01, 1.2, 1.0]), np.array([0.95, 0.95, 0.5])
     two_sided = np.zeros(3, bool)
-    assert Spread(labels, ratio, coverage, two_sided, 4000).wrong() == list(labels[1:])
-    assert Spread(labels, ratio, coverage, two_sided, 40).wrong() == ["never inside"]
+    many, few = (Spread(labels, ratio, coverage, two_sided, n) for n in (4000, 40))
+    assert many.failed_checks() == list(labels[1:])
+    assert few.failed_checks() == ["never inside"]
 
 
 def test_one_sided_errors_may_be_wide_and_not_narrow():
     labels = ("wide", "wide, one-sided", "narrow, one-sided")
     ratio, coverage = np.array([0.87, 0.87, 1.1]), np.full(3, 0.95)
     spread = Spread(labels, ratio, coverage, np.array([False, True, True]), 4000)
-    assert spread.wrong() == ["wide", "narrow, one-sided"]
+    assert spread.failed_checks() == ["wide", "narrow, one-sided"]
 
 
 def test_the_bound_binds():

@@ -105,19 +105,23 @@ def test_models_that_opencv_knows(lens, write, tmp_path):
         ("SIMPLE_RADIAL 8 6 5 4 2 0", pf.PinholeCamera(8, 6, fx=5, cy=2)),
         (
             "SIMPLE_RADIAL 8 6 5 4 3 0.1",
-            pf.PinholeCamera(8, 6, fx=5, distortion=pf.BrownDistortion(0.1)),
+            pf.PinholeCamera(8, 6, fx=5, distortion=pf.geometry.BrownDistortion(0.1)),
         ),
         (
             "RADIAL 8 6 5 4 3 0.1 0.2",
-            pf.PinholeCamera(8, 6, fx=5, distortion=pf.BrownDistortion(0.1, 0.2)),
+            pf.PinholeCamera(
+                8, 6, fx=5, distortion=pf.geometry.BrownDistortion(0.1, 0.2)
+            ),
         ),
         (
             "SIMPLE_RADIAL_FISHEYE 8 6 5 4 3 0",
-            pf.PinholeCamera(8, 6, fx=5, distortion=pf.FisheyeDistortion()),
+            pf.PinholeCamera(8, 6, fx=5, distortion=pf.geometry.FisheyeDistortion()),
         ),
         (
             "RADIAL_FISHEYE 8 6 5 4 3 0.1 0.2",
-            pf.PinholeCamera(8, 6, fx=5, distortion=pf.FisheyeDistortion(0.1, 0.2)),
+            pf.PinholeCamera(
+                8, 6, fx=5, distortion=pf.geometry.FisheyeDistortion(0.1, 0.2)
+            ),
         ),
     ],
 )
@@ -131,7 +135,7 @@ def test_simpler_models(line, camera, tmp_path):
     same = {"position": there.position, "rotation": there.rotation}
     for name, value in vars(camera).items():
         expected = same.get(name, value)
-        if isinstance(value, pf.AbstractDistortion):
+        if isinstance(value, pf.geometry.AbstractDistortion):
             expected = jax.tree.leaves(value)
             assert type(found.distortion) is type(value)
             near(jax.tree.leaves(found.distortion), expected)
@@ -164,7 +168,10 @@ def test_transforms(tmp_path):
     near([one.fx, one.fy, one.cx, one.cy], [10, 11, 4.5, 2.5])
     near(one.rotation, MATRIX[:3, :3])
     near(one.position, (1, 2, 3))
-    assert isinstance(one.distortion, pf.BrownDistortion) and other.distortion is None
+    assert (
+        isinstance(one.distortion, pf.geometry.BrownDistortion)
+        and other.distortion is None
+    )
     near([other.fx, other.fy], [12, 13])
     near(list(pf.load_cameras(tmp_path).values())[0].fx, 10)
 
@@ -189,7 +196,7 @@ def test_a_fisheye_of_transforms(tmp_path):
     for words in ({"is_fisheye": True}, {"camera_model": "OPENCV_FISHEYE"}):
         write_transforms(tmp_path, **numbers, **words)
         (found,) = pf.load_cameras(tmp_path).values()
-        assert isinstance(found.distortion, pf.FisheyeDistortion)
+        assert isinstance(found.distortion, pf.geometry.FisheyeDistortion)
         near([found.distortion.k1, found.distortion.k4], [0.1, 0.2])
 
 

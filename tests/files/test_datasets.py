@@ -237,7 +237,7 @@ def test_diligent(diligent):
         np.testing.assert_allclose(light.direction, direction, rtol=1e-6)
         assert np.array_equal(light.intensity, [1, 1, 1])
         assert np.array_equal(
-            pf.trace(scene.surface, scene.camera).to_viewer[0, 0], [0, 0, 1]
+            pf.geometry.trace(scene.surface, scene.camera).to_viewer[0, 0], [0, 0, 1]
         )
 
 

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
+from phongfit.material import unstack_materials
 from tests.helpers import near
 
 FULL = """# two materials
@@ -101,7 +102,7 @@ def test_what_is_written_is_read_again(tmp_path):
         rng.uniform(0, 2, (3, 3)),
     )
     names = ["a", "b #2", "ü"]
-    materials = dict(zip(names, pf.unstack_materials(several), strict=True))
+    materials = dict(zip(names, unstack_materials(several), strict=True))
     pf.write_mtl(tmp_path / "out.mtl", materials)
     found = pf.read_mtl(tmp_path / "out.mtl")
     assert list(found) == names

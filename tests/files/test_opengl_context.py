@@ -39,7 +39,7 @@ def scenes():
     """Scenes with their materials, between them all of what OpenGL can do."""
     torus = pf.shapes.Torus().mesh(48, 24)
     ball = pf.shapes.Ball(0.8).mesh(48, 24)
-    pair = pf.join([torus, ball])
+    pair = pf.geometry.join([torus, ball])
     tube = pf.shapes.Cylinder(0.6, 1.4).mesh(48, 24, two_sided=True)
     near_view = pf.PerspectiveCamera.look_at(
         (1, 2, 3), width=SIZE, height=SIZE, fov_y=40

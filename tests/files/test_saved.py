@@ -89,7 +89,7 @@ def test_in_another_process(fit, tmp_path):
     [
         (
             pf.Scene(
-                pf.tessellate(
+                pf.geometry.tessellate(
                     lambda u, v: jax.numpy.stack([2 * u - 1, 2 * v - 1, u * v]),
                     columns=5,
                     rows=5,

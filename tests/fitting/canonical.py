@@ -214,4 +214,6 @@ def jpeg_photograph(seed: int, quality: int | None, scene: pf.Scene) -> np.ndarr
 
 
 def jpeg_film(quality: int) -> pf.Film:
-    return pf.Film(encoding="srgb", jpeg=pf.JpegCompression.at_quality(quality))
+    return pf.Film(
+        encoding="srgb", jpeg=pf.rendering.JpegCompression.at_quality(quality)
+    )

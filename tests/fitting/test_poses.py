@@ -23,7 +23,7 @@ TURN = (1.0, -1.5, 2.0)
 
 
 def view(position=PLACE, degrees=(0.0, 0.0, 0.0), **lens):
-    aim = jax.jit(turned)(pf.look_at(PLACE, (0, 0, 0)), floats(degrees))
+    aim = jax.jit(turned)(pf.geometry.look_at(PLACE, (0, 0, 0)), floats(degrees))
     given: dict[str, Any] = dict(fx=34.0, fy=33.0, cx=17, cy=15) | lens
     camera = pf.PinholeCamera(
         SIZE, SIZE, **given, position=position, rotation=np.asarray(aim)
@@ -77,7 +77,7 @@ def test_pose_and_focal_length(photograph):
 
 @pytest.mark.slow
 def test_principal_point_and_lens(photograph):
-    lens = pf.BrownDistortion(0.02)
+    lens = pf.geometry.BrownDistortion(0.02)
     fit = pf.fit(
         view(degrees=TURN, cx=16.4, cy=15.5, distortion=lens),
         photograph,

@@ -9,6 +9,7 @@ import pytest
 
 import phongfit as pf
 from phongfit.fitting.fit import set_up
+from phongfit.fitting.predict import Prediction
 from phongfit.fitting.problem.samples import seen_pixels
 from phongfit.fitting.problem.specification import Specification
 from phongfit.fitting.solve.start import choose_few
@@ -31,7 +32,7 @@ MATTE = canonical.matte()
 
 
 @functools.cache
-def predicted() -> pf.Prediction:
+def predicted() -> Prediction:
     return pf.predict_errors(SCENE, TRUTH, NOISE)
 
 

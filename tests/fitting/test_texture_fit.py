@@ -12,6 +12,7 @@ from phongfit.fitting import texture_fit
 from phongfit.fitting.texels import equations, steps
 from phongfit.fitting.texels.job import RIDGE
 from phongfit.fitting.texels.lit import Photographs
+from phongfit.fitting.texels.result import TextureFit
 from phongfit.textures import texels
 from tests.fitting.texels.scenes import (
     NOISE,
@@ -40,7 +41,7 @@ def images() -> list[np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def kept(images) -> pf.TextureFit:
+def kept(images) -> TextureFit:
     return fitted(images)
 
 
@@ -70,7 +71,7 @@ def test_texels_and_a_shared_highlight():
 
 def test_jpeg_files_are_said_to_err_alike():
     images = photographs(painted(diffuse=TRUE), matte())
-    film = pf.Film(jpeg=pf.JpegCompression.at_quality(90))
+    film = pf.Film(jpeg=pf.rendering.JpegCompression.at_quality(90))
     fit = fitted(images, unknowns=(), film=film)
     assert [pf.warning_code(words) for words in fit.warnings] == ["jpeg-texels"]
 
@@ -106,7 +107,9 @@ def test_texels_are_those_of_dense_least_squares():
         buffer = scene.trace()
         assert buffer.uv is not None
         mask = np.asarray(buffer.mask)
-        basis = np.asarray(pf.pixel_terms(scene, buffer).basis(matte().shininess))
+        basis = np.asarray(
+            pf.rendering.pixel_terms(scene, buffer).basis(matte().shininess)
+        )
         index, weight = map(np.asarray, texels(buffer.uv, SIZE, "bilinear", "repeat"))
         seen = np.zeros((mask.sum(), SIZE[0] * SIZE[1]))
         for k in range(4):

@@ -8,7 +8,7 @@ import pytest
 
 import phongfit as pf
 from phongfit.geometry import raytracing
-from phongfit.geometry.boxes import LEAF, RAYS, FaceTree
+from phongfit.geometry.boxes import MAX_LEAF_FACES, RAYS_PER_BATCH, FaceTree
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def random_rays(count: int) -> tuple[np.ndarray, np.ndarray]:
     return origin.astype(np.float32), direction.astype(np.float32)
 
 
-@pytest.mark.parametrize("faces", [1, LEAF, 60])
+@pytest.mark.parametrize("faces", [1, MAX_LEAF_FACES, 60])
 def test_the_same_faces_as_embree(faces, without_embree, monkeypatch):
     mesh, rays = random_faces(faces), random_rays(500)
     own = raytracing._scene(*mesh)
@@ -61,7 +61,7 @@ def test_no_ray_slips_between_two_faces():
     # Through corners and edges, in more rays than are worked on together.
     inner = vertices.reshape(8, 8, 3)[1:-1, 1:-1].reshape(-1, 3)
     ends = np.concatenate([inner, (inner[:-1] + inner[1:]) / 2])
-    ends = np.resize(ends, (RAYS + 7, 3))
+    ends = np.resize(ends, (RAYS_PER_BATCH + 7, 3))
     origin = np.array([0.01, 0.02, 2.0]) + 0 * ends
     along = ends - origin
     along /= np.linalg.norm(along, axis=1, keepdims=True)

@@ -25,8 +25,12 @@ rays_of = eqx.filter_jit(lambda camera: camera.rays())
         pf.PerspectiveCamera.look_at((1, 2, 3), up=(0, 0, 1), width=3, height=5),
         pf.PinholeCamera(6, 4, fx=5, position=(1, 2, 3), rotation=ROTATION),
         pf.PinholeCamera(6, 4, fx=5, fy=6, cx=1.5, cy=3, skew=0.3),
-        pf.PinholeCamera(6, 4, fx=9, distortion=pf.BrownDistortion(-0.2, 0.1, 0.01)),
-        pf.PinholeCamera(6, 4, fx=3, cx=2, distortion=pf.FisheyeDistortion(0.05)),
+        pf.PinholeCamera(
+            6, 4, fx=9, distortion=pf.geometry.BrownDistortion(-0.2, 0.1, 0.01)
+        ),
+        pf.PinholeCamera(
+            6, 4, fx=3, cx=2, distortion=pf.geometry.FisheyeDistortion(0.05)
+        ),
     ],
 )
 def test_contract(camera):
@@ -96,13 +100,13 @@ def test_nothing_is_seen_behind_a_pinhole():
 
 def test_pixels_past_the_fold_of_a_lens_see_nothing():
     """With k1 = −1/3 a place is never further than 2/3 from the centre."""
-    lens = pf.BrownDistortion(-1 / 3)
+    lens = pf.geometry.BrownDistortion(-1 / 3)
     camera = pf.PinholeCamera(16, 16, fx=8, distortion=lens, position=(0, 0, 5))
     x, y = np.meshgrid(np.arange(16) - 7.5, np.arange(16) - 7.5)
     inside = np.hypot(x, y) / 8 < 2 / 3
     near(known(camera.covered()), inside)
     wall = pf.Sphere((0, 0, -100), 99)
-    buffer = pf.trace(wall, camera)
+    buffer = pf.geometry.trace(wall, camera)
     near(buffer.mask, inside)
     assert np.isfinite(buffer.normal).all() and np.isfinite(buffer.position).all()
 
@@ -140,7 +144,7 @@ def test_field_of_view():
     ],
 )
 def test_look_at(position, target, up, axes):
-    near(pf.look_at(position, target, up), np.array(axes).T)
+    near(pf.geometry.look_at(position, target, up), np.array(axes).T)
 
 
 @pytest.mark.parametrize("kind", [pf.OrthographicCamera, pf.PerspectiveCamera])
@@ -166,7 +170,7 @@ def test_cameras_are_batched_by_vmap():
 
 def test_a_window_sees_what_the_whole_does_there():
     """The same bits, past the whole's edge nothing, where a lens's fold ends it."""
-    lens = pf.BrownDistortion(-0.3)
+    lens = pf.geometry.BrownDistortion(-0.3)
     whole = pf.PinholeCamera(12, 8, fx=4, distortion=lens)
     window = WindowCamera(whole, 5, 3, 9, 4)
     rays, part = rays_of(whole), rays_of(window)

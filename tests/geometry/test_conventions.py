@@ -31,7 +31,7 @@ def projected(camera, points=POINTS):
 
 def of_view(view, **changed):
     given = {"distortion": view["distortion"], "fisheye": view["lens"] == "fisheye"}
-    return pf.camera_from_opencv(
+    return pf.geometry.camera_from_opencv(
         view["matrix"],
         view["rotation"],
         view["translation"],
@@ -51,7 +51,7 @@ def test_opencv_projects_to_the_same_pixels(view):
 
 def test_mitsuba_looks_the_same_way():
     mitsuba = OTHERS["mitsuba"]
-    position, rotation = pf.camera_pose(mitsuba["to_world"], "mitsuba")
+    position, rotation = pf.geometry.camera_pose(mitsuba["to_world"], "mitsuba")
     camera = pf.PerspectiveCamera(
         WIDTH, HEIGHT, fov_y=mitsuba["fov_y"], position=position, rotation=rotation
     )
@@ -114,11 +114,11 @@ def test_every_convention_sees_the_same_points(axes, project):
     )
     back = np.asarray(camera.rotation)[:, 2]
     points = np.array(camera.position) - 5 * back + 0.5 * POINTS
-    to_world = pf.camera_to_world(camera, axes)
+    to_world = pf.geometry.camera_to_world(camera, axes)
     view, centre = np.linalg.inv(to_world), (WIDTH / 2, HEIGHT / 2)
     expected = [project(point, view, 700.0, centre) for point in points]
     near(projected(camera, points), expected, PIXELS)
-    position, rotation = pf.camera_pose(to_world, axes)
+    position, rotation = pf.geometry.camera_pose(to_world, axes)
     near(position, camera.position)
     near(rotation, camera.rotation)
 
@@ -135,7 +135,7 @@ def test_a_projection_matrix(factor, first_pixel):
     k = np.array(view["matrix"])
     k[0, 1] = 3.0
     matrix = k @ np.column_stack([view["R"], view["translation"]])
-    camera = pf.camera_from_matrix(
+    camera = pf.geometry.camera_from_matrix(
         factor * matrix, width=WIDTH, height=HEIGHT, first_pixel=first_pixel
     )
     near(camera.skew, 3, 1e-4)
@@ -152,25 +152,33 @@ EYE = np.eye(4)[:3]
 @pytest.mark.parametrize(
     "call, words",
     [
-        (lambda: pf.camera_pose(np.eye(3), "opencv"), "to_world: expected numbers of"),
-        (lambda: pf.camera_pose(EYE, "maya"), "axes: expected"),  # pyright: ignore
-        (lambda: pf.camera_pose(2 * EYE, "opencv"), "to_world: expected a rotation"),
         (
-            lambda: pf.camera_pose(EYE * [-1, 1, 1, 1], "nerf"),
+            lambda: pf.geometry.camera_pose(np.eye(3), "opencv"),
+            "to_world: expected numbers of",
+        ),
+        (lambda: pf.geometry.camera_pose(EYE, "maya"), "axes: expected"),  # pyright: ignore
+        (
+            lambda: pf.geometry.camera_pose(2 * EYE, "opencv"),
             "to_world: expected a rotation",
         ),
-        (lambda: pf.camera_pose(np.full((4, 4), np.nan), "nerf"), "finite"),
-        (lambda: pf.camera_pose(np.ones((4, 4)), "nerf"), "last row"),
+        (
+            lambda: pf.geometry.camera_pose(EYE * [-1, 1, 1, 1], "nerf"),
+            "to_world: expected a rotation",
+        ),
+        (lambda: pf.geometry.camera_pose(np.full((4, 4), np.nan), "nerf"), "finite"),
+        (lambda: pf.geometry.camera_pose(np.ones((4, 4)), "nerf"), "last row"),
         (lambda: of_view(VIEWS[0], distortion=[1, 2, 3]), "distortion: expected 4 or"),
         (lambda: of_view(VIEWS[0], distortion=[0] * 11 + [1]), "thin prism"),
         (lambda: of_view({**VIEWS[0], "matrix": np.ones((3, 3))}), "matrix: expected"),
         (lambda: of_view({**VIEWS[0], "rotation": [1, 2]}), "rotation: expected"),
         (
-            lambda: pf.camera_from_matrix(np.ones((3, 4)), width=4, height=4),
+            lambda: pf.geometry.camera_from_matrix(np.ones((3, 4)), width=4, height=4),
             "without a centre",
         ),
         (
-            lambda: pf.camera_from_matrix(EYE, width=4, height=4, first_pixel=1),
+            lambda: pf.geometry.camera_from_matrix(
+                EYE, width=4, height=4, first_pixel=1
+            ),
             "first_pixel: expected 0 or 0.5",
         ),
     ],
@@ -184,5 +192,5 @@ def test_rounded_axes_become_exact():
     """Of six digits in a text file; our cameras want them orthonormal."""
     matrix = np.eye(4)
     matrix[:3, :3] = random_rotation(5).round(4)
-    _, rotation = pf.camera_pose(matrix, "nerf")
+    _, rotation = pf.geometry.camera_pose(matrix, "nerf")
     near(rotation.T @ rotation, np.eye(3), close())

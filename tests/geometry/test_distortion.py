@@ -9,14 +9,14 @@ from phongfit.testing import check_gradients
 from tests.helpers import floats, near
 
 LENSES = [
-    pf.BrownDistortion(),
-    pf.BrownDistortion(-0.3, 0.1, 0.001, -0.002),
-    pf.BrownDistortion(0.4, 0.1, 0.01, -0.02, 0.02),
+    pf.geometry.BrownDistortion(),
+    pf.geometry.BrownDistortion(-0.3, 0.1, 0.001, -0.002),
+    pf.geometry.BrownDistortion(0.4, 0.1, 0.01, -0.02, 0.02),
     # Folds at a radius of 1.3: well beyond what is asked for.
-    pf.BrownDistortion(0.5, -0.2),
-    pf.BrownDistortion(0.3, 0.1, 0, 0, 0.02, 0.1, 0.05, 0.01),
-    pf.FisheyeDistortion(),
-    pf.FisheyeDistortion(0.05, -0.01, 0.002, 0.001),
+    pf.geometry.BrownDistortion(0.5, -0.2),
+    pf.geometry.BrownDistortion(0.3, 0.1, 0, 0, 0.02, 0.1, 0.05, 0.01),
+    pf.geometry.FisheyeDistortion(),
+    pf.geometry.FisheyeDistortion(0.05, -0.01, 0.002, 0.001),
 ]
 
 
@@ -40,18 +40,18 @@ def test_a_place_shows_the_direction_whose_image_it_is(lens):
 @pytest.mark.parametrize(
     "lens, direction, place",
     [
-        (pf.BrownDistortion(), (1, 2, 4), (0.25, 0.5)),
-        (pf.BrownDistortion(0.1), (1, 0, 1), (1.1, 0)),
-        (pf.BrownDistortion(0, 0.1), (0, 2, 1), (0, 5.2)),
-        (pf.BrownDistortion(k3=0.1), (0, 2, 1), (0, 2 * 7.4)),
-        (pf.BrownDistortion(p1=0.1), (1, 1, 1), (1.2, 1.4)),
-        (pf.BrownDistortion(p2=0.1), (1, 1, 1), (1.4, 1.2)),
-        (pf.BrownDistortion(k4=1.0), (1, 0, 2), (0.4, 0)),
-        (pf.FisheyeDistortion(), (1, 0, 1), (np.pi / 4, 0)),
-        (pf.FisheyeDistortion(), (0, 3, 0), (0, np.pi / 2)),
-        (pf.FisheyeDistortion(), (0, -1, -1), (0, -3 * np.pi / 4)),
-        (pf.FisheyeDistortion(1.0), (1, 0, 0), (np.pi / 2 + np.pi**3 / 8, 0)),
-        (pf.FisheyeDistortion(1.0), (0, 0, 2), (0, 0)),
+        (pf.geometry.BrownDistortion(), (1, 2, 4), (0.25, 0.5)),
+        (pf.geometry.BrownDistortion(0.1), (1, 0, 1), (1.1, 0)),
+        (pf.geometry.BrownDistortion(0, 0.1), (0, 2, 1), (0, 5.2)),
+        (pf.geometry.BrownDistortion(k3=0.1), (0, 2, 1), (0, 2 * 7.4)),
+        (pf.geometry.BrownDistortion(p1=0.1), (1, 1, 1), (1.2, 1.4)),
+        (pf.geometry.BrownDistortion(p2=0.1), (1, 1, 1), (1.4, 1.2)),
+        (pf.geometry.BrownDistortion(k4=1.0), (1, 0, 2), (0.4, 0)),
+        (pf.geometry.FisheyeDistortion(), (1, 0, 1), (np.pi / 4, 0)),
+        (pf.geometry.FisheyeDistortion(), (0, 3, 0), (0, np.pi / 2)),
+        (pf.geometry.FisheyeDistortion(), (0, -1, -1), (0, -3 * np.pi / 4)),
+        (pf.geometry.FisheyeDistortion(1.0), (1, 0, 0), (np.pi / 2 + np.pi**3 / 8, 0)),
+        (pf.geometry.FisheyeDistortion(1.0), (0, 0, 2), (0, 0)),
     ],
 )
 def test_places(lens, direction, place):
@@ -60,7 +60,9 @@ def test_places(lens, direction, place):
 
 def test_beside_and_behind_a_fisheye():
     directions = np.array([(1, 0, 0), (0.3, 0.4, -1), (0, 0, 1)], float)
-    found, some = there_and_back(pf.FisheyeDistortion(0.05, 0.01), floats(directions))
+    found, some = there_and_back(
+        pf.geometry.FisheyeDistortion(0.05, 0.01), floats(directions)
+    )
     assert np.all(some)
     near(found, directions / np.linalg.norm(directions, axis=1, keepdims=True), 1e-5)
 
@@ -91,7 +93,7 @@ def test_in_the_middle_nothing_is_bent(lens):
 
 
 def test_past_the_fold_there_is_no_direction():
-    lens = pf.BrownDistortion(-1 / 3)
+    lens = pf.geometry.BrownDistortion(-1 / 3)
     places = floats([(0.66, 0), (0.67, 0), (5, 5)])
     _, some = jax.jit(jax.vmap(lambda place: lens.direction(place)))(places)
     assert some.tolist() == [True, False, False]
@@ -99,12 +101,12 @@ def test_past_the_fold_there_is_no_direction():
 
 def test_past_the_fold_there_is_no_image():
     """Also where it is folded twice, and back into the picture."""
-    lens = pf.BrownDistortion(-0.9)
+    lens = pf.geometry.BrownDistortion(-0.9)
     x = [0.3, 0.6, 0.62, 1.0, 1.5]
     places = jax.vmap(lens.place)(floats([(each, 0, 1) for each in x]))
     assert np.isfinite(places).all(axis=1).tolist() == [True] * 2 + [False] * 3
     matrix = np.array([[820.0, 0, 331], [0, 790, 219], [0, 0, 1]])
-    camera = pf.camera_from_opencv(
+    camera = pf.geometry.camera_from_opencv(
         matrix, width=640, height=480, distortion=(-0.9, 0, 0, 0)
     )
     assert np.isnan(camera.project(floats((1.0, 0, 1)))).all()

@@ -19,7 +19,7 @@ def step(mask: np.ndarray | None = None) -> pf.NormalMap:
 
 
 def shadow(surface: pf.NormalMap, light: pf.AbstractLight) -> np.ndarray:
-    seen = pf.trace(surface, CAMERA, [light], shadows=True).visibility
+    seen = pf.geometry.trace(surface, CAMERA, [light], shadows=True).visibility
     return np.asarray(seen)[..., 0] == 0
 
 
@@ -63,9 +63,11 @@ def test_shadows_are_those_of_the_triangles_as_a_mesh():
     surface = pf.NormalMap(np.broadcast_to([0.0, 0, 1], points.shape), mask, points)
     light = pf.DirectionalLight((1, 0.3, 0.25))
     dark = shadow(surface, light)
-    compiled = jax.jit(lambda s: pf.trace(s, CAMERA, [light], shadows=True).visibility)
+    compiled = jax.jit(
+        lambda s: pf.geometry.trace(s, CAMERA, [light], shadows=True).visibility
+    )
     np.testing.assert_array_equal(dark, np.asarray(compiled(surface))[..., 0] == 0)
     high = np.where(mask, height, np.nan)
-    cast = pf.cast_shadows(high, CAMERA, [light])[0]
+    cast = pf.geometry.cast_shadows(high, CAMERA, [light])[0]
     np.testing.assert_array_equal(dark[mask], cast[mask])
     assert 0.1 < dark[mask].mean() < 0.9

@@ -64,7 +64,7 @@ def test_a_ball_throws_the_shadow_of_a_sphere():
     surface = pf.ImplicitSurface(ball, (-1.1,) * 3, (1.1,) * 3)
     view = pf.OrthographicCamera(31, 31)
     one, other = (
-        pf.trace(s, view, lights, shadows=True) for s in (surface, pf.Sphere())
+        pf.geometry.trace(s, view, lights, shadows=True) for s in (surface, pf.Sphere())
     )
     facing = np.stack(
         [np.asarray(one.normal) @ np.array([1, 1, 0]), np.ones((31, 31))], -1
@@ -86,7 +86,7 @@ def test_one_part_shades_another():
         (5, 0, 0.5), (0, 0, 0.5), width=64, height=64, view_height=3.2
     )
     light = pf.DirectionalLight((0, 0, 1))
-    buffer = pf.trace(surface, view, [light], shadows=True)
+    buffer = pf.geometry.trace(surface, view, [light], shadows=True)
     x, y, z = np.moveaxis(np.asarray(buffer.position), -1, 0)
     shaded = (
         np.asarray(buffer.mask)

@@ -9,9 +9,11 @@ PARALLEL = pf.OrthographicCamera(40, 32)
 PINHOLE = pf.PerspectiveCamera.look_at((3, 2, 4), width=40, height=32, fov_y=35.0)
 
 
-def seen(camera: pf.AbstractCamera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def seen(
+    camera: pf.geometry.AbstractCamera,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Normals in the camera's axes, depth and points of a sphere of radius 1."""
-    gbuffer = pf.trace(pf.Sphere(), camera)
+    gbuffer = pf.geometry.trace(pf.Sphere(), camera)
     mask, points = np.asarray(gbuffer.mask), np.asarray(gbuffer.position, float)
     normals = np.asarray(gbuffer.normal, float) @ np.asarray(camera.rotation, float)
     offset = np.asarray(camera.position, float) - points
@@ -28,7 +30,7 @@ def test_a_sphere_is_exact(camera):
     For a pinhole as well: its rays' ratio is that of the ends' depths.
     """
     normals, depth, points = seen(camera)
-    found = pf.integrate_normals(normals, camera, depth=depth)
+    found = pf.geometry.integrate_normals(normals, camera, depth=depth)
     inside = found.mask
     np.testing.assert_array_equal(inside, np.isfinite(depth))
     np.testing.assert_allclose(found.positions()[inside], points[inside], atol=2e-5)
@@ -37,7 +39,9 @@ def test_a_sphere_is_exact(camera):
 
 def test_a_plane_in_perspective():
     normal = np.array([0.3, -0.2, 0.9]) / np.linalg.norm([0.3, -0.2, 0.9])
-    found = pf.integrate_normals(np.tile(normal, (32, 40, 1)), PINHOLE, distance=5.0)
+    found = pf.geometry.integrate_normals(
+        np.tile(normal, (32, 40, 1)), PINHOLE, distance=5.0
+    )
     points = found.positions()
     world = normal @ np.asarray(PINHOLE.rotation).T
     assert np.ptp(points @ world) < 2e-5
@@ -63,7 +67,9 @@ def test_a_step_is_kept(slope, noise):
     """Least squares alone smears it: by 0.5 and 1.2 pixels on average."""
     normals, height = flap(slope)
     rng = np.random.default_rng(0)
-    found = pf.integrate_normals(normals + noise * rng.normal(size=normals.shape))
+    found = pf.geometry.integrate_normals(
+        normals + noise * rng.normal(size=normals.shape)
+    )
     off = found.height - height
     off = np.abs(off - np.median(off))
     assert off.mean() < 0.05
@@ -79,7 +85,7 @@ def test_errors_weigh():
     wrong = normals + np.where(bad[..., None], [0.05, 0, 0], 0)
     errors = {
         error: np.abs(
-            pf.integrate_normals(
+            pf.geometry.integrate_normals(
                 wrong, PARALLEL, stderr=np.where(bad, error, 0.0), depth=depth
             ).positions()
             - points
@@ -94,7 +100,7 @@ def test_normals_that_are_not_identified():
     normals, depth, points = seen(PARALLEL)
     wrong = normals.copy()
     wrong[15:18, 18:22] = [0, 0, -1]
-    found = pf.integrate_normals(wrong, PARALLEL, depth=depth)
+    found = pf.geometry.integrate_normals(wrong, PARALLEL, depth=depth)
     off = np.abs(found.positions() - points)[np.isfinite(depth)]
     assert off.max() < 0.1 and found.height[16, 20] > 0.9
     (words,) = found.warnings
@@ -106,7 +112,7 @@ def test_pieces_are_named_and_placed():
     normals, depth, points = seen(PARALLEL)
     mask = np.isfinite(depth)
     mask[:, 19:21] = False
-    found = pf.integrate_normals(normals, PARALLEL, mask)
+    found = pf.geometry.integrate_normals(normals, PARALLEL, mask)
     assert found.pieces.max() == 2 and "2 pieces" in found.warnings[0]
     assert "2 of them are put at the same depth" in found.warnings[0]
     assert str(found).splitlines()[0].endswith("in 2 pieces")
@@ -119,7 +125,7 @@ def test_pieces_are_named_and_placed():
     # One pixel of each that is known moves it.
     few = np.full(depth.shape, np.nan)
     few[16, [10, 30]] = depth[16, [10, 30]]
-    placed = pf.integrate_normals(normals, PARALLEL, mask, depth=few)
+    placed = pf.geometry.integrate_normals(normals, PARALLEL, mask, depth=few)
     np.testing.assert_allclose(placed.positions()[mask], points[mask], atol=2e-5)
     assert placed.warnings == ()
 
@@ -127,12 +133,14 @@ def test_pieces_are_named_and_placed():
 def test_a_single_pixel():
     mask = np.zeros((32, 40), bool)
     mask[3, 4] = True
-    found = pf.integrate_normals(np.tile([0.0, 0, 1], (32, 40, 1)), PARALLEL, mask)
+    found = pf.geometry.integrate_normals(
+        np.tile([0.0, 0, 1], (32, 40, 1)), PARALLEL, mask
+    )
     assert found.height[3, 4] == 0 and np.isnan(found.height).sum() == 32 * 40 - 1
     with pytest.raises(ValueError, match="neighbouring pixels"):
         found.mesh()
     outside = np.where(mask[..., None], [0.0, 0, 1], np.nan)
-    again = pf.integrate_normals(outside, PARALLEL, mask)
+    again = pf.geometry.integrate_normals(outside, PARALLEL, mask)
     np.testing.assert_array_equal(again.height, found.height)
 
 
@@ -151,10 +159,10 @@ def test_a_single_pixel():
 def test_bad_arguments(arguments, words):
     arguments = {"normals": np.tile([0.0, 0, 1], (32, 40, 1))} | arguments
     with pytest.raises(ValueError, match=words):
-        pf.integrate_normals(camera=PARALLEL, **arguments)
+        pf.geometry.integrate_normals(camera=PARALLEL, **arguments)
 
 
 def test_a_pinhole_wants_a_distance():
     at_origin = pf.PerspectiveCamera(40, 32, position=(0, 0, 0))
     with pytest.raises(ValueError, match="distance: expected the distance from"):
-        pf.integrate_normals(np.tile([0.0, 0, 1], (32, 40, 1)), at_origin)
+        pf.geometry.integrate_normals(np.tile([0.0, 0, 1], (32, 40, 1)), at_origin)

@@ -173,7 +173,7 @@ def test_the_back_is_seen_of_two_sided_meshes_only():
 
 def test_faces_that_show_their_backs_hide_nothing():
     near_back = pf.Mesh(TRIANGLE + [0, 0, 1.0], [[0, 2, 1]])
-    both = pf.join([near_back, pf.Mesh(TRIANGLE, FRONT)])
+    both = pf.geometry.join([near_back, pf.Mesh(TRIANGLE, FRONT)])
     buffer = both.trace(pf.OrthographicCamera(5, 5, view_height=0.5))
     assert buffer.mask.all()
     near(buffer.position[..., 2], 0)
@@ -205,16 +205,16 @@ def test_degenerate_faces_and_unused_vertices_do_no_harm():
 def test_joined_objects_keep_their_materials():
     left = pf.Mesh(PYRAMID - [1.2, 0, 0], SLOPES, material_index=[0, 1, 0, 1])
     right = pf.Mesh(PYRAMID + [1.2, 0, 0], SLOPES, weighting="angle")
-    both = pf.join([left, right])
+    both = pf.geometry.join([left, right])
     assert both.materials == 3
     np.testing.assert_array_equal(both.material_index, [0, 1, 0, 1, 2, 2, 2, 2])
     near(both.face_normals(), jnp.concatenate([left.face_normals()] * 2))
     near(both.vertex_normals()[5:], right.vertex_normals())
     near(both.vertex_normals()[:5], left.vertex_normals())
     with pytest.raises(ValueError, match="^meshes: "):
-        pf.join([])
+        pf.geometry.join([])
     with pytest.raises(ValueError, match="^meshes: .*two-sided"):
-        pf.join([left, pf.Mesh(TRIANGLE, FRONT, two_sided=True)])
+        pf.geometry.join([left, pf.Mesh(TRIANGLE, FRONT, two_sided=True)])
 
 
 @pytest.mark.parametrize(

@@ -104,7 +104,7 @@ def test_what_was_traced_is_not_traced_again(monkeypatch):
 
 def test_threads_share_what_is_remembered():
     """Each gets its own result, though others push it out of memory meanwhile."""
-    twice = raytracing._remembered(4)(lambda array: 2 * array)
+    twice = raytracing._cache_last(4)(lambda array: 2 * array)
     right = np.zeros(8, int)
 
     def ask(thread):

@@ -22,7 +22,7 @@ def lit(scene, material=None):
     """Light at the lighting points, and the scene's buffer."""
     gbuffer = scene.trace()
     material = pf.Material(specular=0.4) if material is None else material
-    return np.asarray(pf.combine(pf.terms(scene, gbuffer), material)), gbuffer
+    return np.asarray(pf.rendering.combine(pf.terms(scene, gbuffer), material)), gbuffer
 
 
 def test_interpolation_is_a_weighted_sum():
@@ -166,7 +166,7 @@ def test_faces_and_vertices_are_wanted(shading):
         pf.Scene(pf.Sphere(), shading=shading)
     scene = pf.Scene(square(), VIEW, shading=shading)
     with pytest.raises(ValueError, match="^gbuffer: .*faces"):
-        pf.render(scene, pf.Material(), gbuffer=pf.trace(pf.Sphere(), VIEW))
+        pf.render(scene, pf.Material(), gbuffer=pf.geometry.trace(pf.Sphere(), VIEW))
 
 
 def test_flat_shading_knows_two_places():

@@ -22,8 +22,8 @@ def screen(height=0.5):
 
 def columns_in_light(light, surface=None):
     """For each column of pixels, its x and whether the light reaches it."""
-    surface = pf.join([FLOOR, screen()]) if surface is None else surface
-    gbuffer = pf.trace(surface, VIEW, [light], shadows=True)
+    surface = pf.geometry.join([FLOOR, screen()]) if surface is None else surface
+    gbuffer = pf.geometry.trace(surface, VIEW, [light], shadows=True)
     near(gbuffer.position[..., 2], 0)
     assert known(gbuffer.visibility).shape == (20, 20, 1)
     seen = np.asarray(gbuffer.visibility)[..., 0]
@@ -59,16 +59,20 @@ def test_what_lies_behind_a_light_throws_no_shadow(kind):
 
 def test_each_light_has_its_own_shadow():
     lights = (pf.DirectionalLight((0, 0, 1)), pf.DirectionalLight((-1, 0, 1)))
-    surface = pf.join([FLOOR, screen()])
-    both = known(pf.trace(surface, VIEW, lights, shadows=True).visibility)
+    surface = pf.geometry.join([FLOOR, screen()])
+    both = known(pf.geometry.trace(surface, VIEW, lights, shadows=True).visibility)
     for i, light in enumerate(lights):
-        alone = known(pf.trace(surface, VIEW, [light], shadows=True).visibility)
+        alone = known(
+            pf.geometry.trace(surface, VIEW, [light], shadows=True).visibility
+        )
         np.testing.assert_array_equal(both[..., i], alone[..., 0])
 
 
 def test_in_shadow_only_ambient_light_and_emission_are_left():
     light = pf.DirectionalLight((0, 0, 1), 0.9, ambient=0.1)
-    scene = pf.Scene(pf.join([FLOOR, screen()]), VIEW, light, 0.2, shadows=True)
+    scene = pf.Scene(
+        pf.geometry.join([FLOOR, screen()]), VIEW, light, 0.2, shadows=True
+    )
     material = pf.Material(0.5, 0.4, 9.0, (0.3, 0.2, 0.1), 0.05)
     image = pf.render(scene, material)
     dark = 0.05 + 0.3 * np.array([0.3, 0.2, 0.1])
@@ -96,7 +100,7 @@ def test_no_acne_on_a_coarse_mesh_of_any_size_and_place(size, place):
         pf.DirectionalLight((1, 1, 1)),
         pf.DirectionalLight((1, 0, 0.02)),
     ):
-        gbuffer = pf.trace(mesh, view, [light], shadows=True)
+        gbuffer = pf.geometry.trace(mesh, view, [light], shadows=True)
         to_light = directions(light, gbuffer.position.reshape(-1, 3)[::7])
         facing = np.sum(
             known(gbuffer.surface_normal).reshape(-1, 3)[::7] * to_light, axis=1
@@ -114,7 +118,7 @@ def test_a_face_is_never_in_its_own_shadow():
     tilted = np.array([[1, 0, 0.2]] * 3)
     mesh = pf.Mesh([[-2, -2, 0], [2, -2, 0], [0, 3, 0]], [[0, 1, 2]], tilted)
     light = pf.DirectionalLight((1, 0, -0.1))
-    gbuffer = pf.trace(mesh, VIEW, [light], shadows=True)
+    gbuffer = pf.geometry.trace(mesh, VIEW, [light], shadows=True)
     assert gbuffer.mask.any()
     assert np.all(known(gbuffer.visibility)[gbuffer.mask] == 1)
 
@@ -130,7 +134,7 @@ def test_a_face_is_never_in_its_own_shadow():
 def test_shadows_fall_where_the_shading_lights(shading, points):
     # Of the floor, only what lies at x > 0 is below the screen: two of its vertices.
     scene = pf.Scene(
-        pf.join(
+        pf.geometry.join(
             [FLOOR, pf.Mesh(screen().vertices * floats([[2.0, 2, 1]]), screen().faces)]
         ),
         VIEW,
@@ -151,9 +155,11 @@ def test_a_scene_with_shadows_wants_a_buffer_with_its_shadows():
     light = pf.DirectionalLight((0, 0, 1))
     scene = pf.Scene(FLOOR, VIEW, light, shadows=True)
     for gbuffer in (
-        pf.trace(FLOOR, VIEW),
-        pf.trace(FLOOR, VIEW, [light, light], shadows=True),
-        pf.trace(FLOOR, VIEW, [light], shadows=True, shading=pf.GouraudShading()),
+        pf.geometry.trace(FLOOR, VIEW),
+        pf.geometry.trace(FLOOR, VIEW, [light, light], shadows=True),
+        pf.geometry.trace(
+            FLOOR, VIEW, [light], shadows=True, shading=pf.GouraudShading()
+        ),
     ):
         with pytest.raises(ValueError, match="^gbuffer: expected visibility of shape"):
             pf.render(scene, pf.Material(), gbuffer=gbuffer)
@@ -166,7 +172,9 @@ def test_without_lights_there_are_no_shadows():
 
 def test_a_ball_is_in_the_way_of_its_own_back():
     lights = (pf.DirectionalLight((0, 1, 0)), pf.PointLight((0, 0, 0)))
-    gbuffer = pf.trace(pf.Sphere(), pf.OrthographicCamera(40, 40), lights, shadows=True)
+    gbuffer = pf.geometry.trace(
+        pf.Sphere(), pf.OrthographicCamera(40, 40), lights, shadows=True
+    )
     mask = np.asarray(gbuffer.mask)
     up = np.asarray(gbuffer.normal)[..., 1]
     outside, inside = np.moveaxis(np.asarray(gbuffer.visibility), -1, 0)
@@ -186,4 +194,4 @@ def test_a_normal_map_without_positions_knows_of_no_shadows():
     with pytest.raises(
         ValueError, match="^shadows: expected a normal map with positions"
     ):
-        pf.trace(pf.NormalMap(flat), view, [light], shadows=True)
+        pf.geometry.trace(pf.NormalMap(flat), view, [light], shadows=True)

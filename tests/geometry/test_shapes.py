@@ -118,7 +118,7 @@ def test_a_surface_of_ones_own():
         angle = 2 * jnp.pi * u
         return jnp.stack([(1 - v) * jnp.cos(angle), v, -(1 - v) * jnp.sin(angle)])
 
-    mesh = pf.tessellate(cone, columns=12, rows=4)
+    mesh = pf.geometry.tessellate(cone, columns=12, rows=4)
     x, y, z = np.asarray(mesh.vertices).T
     near(np.hypot(x, z), 1 - y)
     # At 45° all around, at the tip too.
@@ -135,9 +135,9 @@ def test_a_surface_of_ones_own():
         ("width", lambda: plane(0)),
         ("relief", lambda: HeightField(waves, relief=0)),
         ("function", lambda: HeightField(np.zeros((3, 3)))),  # pyright: ignore
-        ("function", lambda: pf.tessellate(lambda u, v: u)),
-        ("u", lambda: pf.tessellate(waves, u=(0, 1, 2))),
-        ("rows", lambda: pf.tessellate(waves, rows=0)),
+        ("function", lambda: pf.geometry.tessellate(lambda u, v: u)),
+        ("u", lambda: pf.geometry.tessellate(waves, u=(0, 1, 2))),
+        ("rows", lambda: pf.geometry.tessellate(waves, rows=0)),
         ("columns", lambda: Ball().mesh(2.5)),  # pyright: ignore
     ],
 )

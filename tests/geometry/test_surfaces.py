@@ -52,7 +52,9 @@ def test_contract_to_second_order(surface, camera):
     [(5, 5, 0, 0), (5, 8, 0.6, 0), (1, 5, 0, 0.8), (6, 3, -0.4, -0.2)],
 )
 def test_normals_of_the_unit_sphere(row, column, x, y):
-    buffer = pf.trace(pf.Sphere(), pf.OrthographicCamera(11, 11, view_height=2.2))
+    buffer = pf.geometry.trace(
+        pf.Sphere(), pf.OrthographicCamera(11, 11, view_height=2.2)
+    )
     expected = (x, y, math.sqrt(1 - x**2 - y**2))
     assert buffer.mask[row, column]
     near(buffer.normal[row, column], expected)
@@ -61,7 +63,9 @@ def test_normals_of_the_unit_sphere(row, column, x, y):
 
 
 def test_mask_of_the_unit_sphere():
-    buffer = pf.trace(pf.Sphere(), pf.OrthographicCamera(11, 11, view_height=2.2))
+    buffer = pf.geometry.trace(
+        pf.Sphere(), pf.OrthographicCamera(11, 11, view_height=2.2)
+    )
     x, y = np.meshgrid(np.linspace(-1, 1, 11), np.linspace(1, -1, 11))
     inside = np.hypot(x, y)
     sure = np.abs(inside - 1) > 1e-3
@@ -71,20 +75,22 @@ def test_mask_of_the_unit_sphere():
 def test_off_centre():
     sphere = pf.Sphere(center=(1, 2, -3), radius=2)
     camera = pf.OrthographicCamera(1, 1, position=(1, 3.2, 5))
-    buffer = pf.trace(sphere, camera)
+    buffer = pf.geometry.trace(sphere, camera)
     near(buffer.normal[0, 0], (0, 0.6, 0.8))
     near(buffer.position[0, 0], (1, 3.2, -1.4))
 
 
 def test_perspective():
     # From (0, 0, 2), 30° up touches the unit sphere; straight on is its pole.
-    buffer = pf.trace(pf.Sphere(), pf.PerspectiveCamera(1, 1, position=(0, 0, 2)))
+    buffer = pf.geometry.trace(
+        pf.Sphere(), pf.PerspectiveCamera(1, 1, position=(0, 0, 2))
+    )
     near(buffer.position[0, 0], (0, 0, 1))
     for half_angle, seen in ((29.9, True), (30.1, False)):
         # Two rows of pixels, whose centres are at half of the height from the middle.
         fov = 2 * math.degrees(math.atan(2 * math.tan(math.radians(half_angle))))
         camera = pf.PerspectiveCamera(1, 2, fov_y=fov, position=(0, 0, 2))
-        assert np.all(pf.trace(pf.Sphere(), camera).mask == seen)
+        assert np.all(pf.geometry.trace(pf.Sphere(), camera).mask == seen)
 
 
 @pytest.mark.parametrize(
@@ -99,7 +105,7 @@ def test_perspective():
     ids=["behind", "behind pinhole", "from inside", "pinhole inside", "beside"],
 )
 def test_nothing_is_seen(surface, camera):
-    buffer = pf.trace(surface, camera)
+    buffer = pf.geometry.trace(surface, camera)
     assert not buffer.mask.any()
     for leaf in (buffer.position, buffer.normal, buffer.to_viewer):
         assert np.all(np.isfinite(leaf))
@@ -109,10 +115,10 @@ def test_nothing_is_seen(surface, camera):
 def test_far_away_in_single_precision(distance):
     """The textbook's b² − 4ac loses all of its digits here."""
     sphere = pf.Sphere((0, 0, -distance), 1)
-    buffer = pf.trace(sphere, pf.OrthographicCamera(11, 11, view_height=2.2))
+    buffer = pf.geometry.trace(sphere, pf.OrthographicCamera(11, 11, view_height=2.2))
     near(buffer.normal[5, 8], (0.6, 0, 0.8), 1e-5)
     fov = 2 * math.degrees(math.atan(1.1 / (distance + 5)))
-    buffer = pf.trace(sphere, pf.PerspectiveCamera(11, 11, fov_y=fov))
+    buffer = pf.geometry.trace(sphere, pf.PerspectiveCamera(11, 11, fov_y=fov))
     # The pinhole sees it a little from the side, and rounding turns each ray a little.
     tolerance = 2 / distance + 2 * eps() * distance
     near(buffer.normal[5, 8], (0.6, 0, 0.8), tolerance)
@@ -120,7 +126,7 @@ def test_far_away_in_single_precision(distance):
 
 def test_big_and_far():
     sphere = pf.Sphere((0, 0, -3e6), 1e6)
-    buffer = pf.trace(sphere, pf.OrthographicCamera(11, 11, view_height=2.2e6))
+    buffer = pf.geometry.trace(sphere, pf.OrthographicCamera(11, 11, view_height=2.2e6))
     near(buffer.normal[5, 8], (0.6, 0, 0.8), 1e-5)
     near(buffer.position[5, 8] / 1e6, (0.6, 0, -2.2), 1e-5)
 
@@ -141,7 +147,7 @@ def test_intersect_random_rays():
 
 
 def test_normal_map_normalizes():
-    buffer = pf.trace(pf.NormalMap(NORMALS), SMALL)
+    buffer = pf.geometry.trace(pf.NormalMap(NORMALS), SMALL)
     near(buffer.normal, NORMALS / np.linalg.norm(NORMALS, axis=-1, keepdims=True))
     assert buffer.mask.all()
     near(buffer.position, np.zeros((2, 3, 3)))
@@ -149,12 +155,15 @@ def test_normal_map_normalizes():
 
 
 def test_normal_map_keeps_positions():
-    buffer = pf.trace(pf.NormalMap(NORMALS, positions=POSITIONS), SMALL)
+    buffer = pf.geometry.trace(pf.NormalMap(NORMALS, positions=POSITIONS), SMALL)
     near(buffer.position, POSITIONS)
     camera = pf.PerspectiveCamera(3, 2, position=(0, 0, 2))
     towards = np.array([0, 0, 2]) - POSITIONS
     towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
-    near(pf.trace(pf.NormalMap(NORMALS, None, POSITIONS), camera).to_viewer, towards)
+    near(
+        pf.geometry.trace(pf.NormalMap(NORMALS, None, POSITIONS), camera).to_viewer,
+        towards,
+    )
 
 
 def test_outside_the_mask_nothing_matters():
@@ -164,7 +173,7 @@ def test_outside_the_mask_nothing_matters():
     normals[0, 1], positions[0, 1] = math.nan, math.inf
     mask = np.ones((2, 3), bool)
     mask[0, 1] = mask[1, 2] = False
-    buffer = pf.trace(pf.NormalMap(normals, mask, positions), SMALL)
+    buffer = pf.geometry.trace(pf.NormalMap(normals, mask, positions), SMALL)
     assert np.array_equal(buffer.mask, [[False, False, True], [True, True, False]])
     near(np.linalg.norm(buffer.normal, axis=-1), np.ones((2, 3)))
     assert np.all(np.isfinite(buffer.position))
@@ -182,12 +191,16 @@ def test_outside_the_mask_nothing_matters():
 )
 def test_normal_map_and_camera_must_fit_together(camera, message):
     with pytest.raises(ValueError, match=message):
-        pf.trace(pf.NormalMap(NORMALS), camera)
+        pf.geometry.trace(pf.NormalMap(NORMALS), camera)
 
 
 def test_trace_is_batched_by_vmap():
     radii = floats([0.5, 1.0])
     camera = pf.OrthographicCamera(5, 5)
-    batch = eqx.filter_vmap(lambda r: pf.trace(pf.Sphere(radius=r), camera))(radii)
+    batch = eqx.filter_vmap(lambda r: pf.geometry.trace(pf.Sphere(radius=r), camera))(
+        radii
+    )
     for i, radius in enumerate((0.5, 1.0)):
-        near(batch.normal[i], pf.trace(pf.Sphere(radius=radius), camera).normal)
+        near(
+            batch.normal[i], pf.geometry.trace(pf.Sphere(radius=radius), camera).normal
+        )

@@ -25,7 +25,7 @@ def bumps() -> np.ndarray:
     return np.sum(each, axis=0)
 
 
-def made(camera: pf.AbstractCamera = CAMERA) -> Maps:
+def made(camera: pf.geometry.AbstractCamera = CAMERA) -> Maps:
     """Maps of the hills whose every number is known, fitted by nobody."""
     height = bumps()
     down, right = np.gradient(height, 0.1)
@@ -53,7 +53,7 @@ def made(camera: pf.AbstractCamera = CAMERA) -> Maps:
     )
 
 
-def write_hills(folder: Path, camera: pf.AbstractCamera = CAMERA) -> None:
+def write_hills(folder: Path, camera: pf.geometry.AbstractCamera = CAMERA) -> None:
     """A folder as `phongfit maps` makes it, of sRGB photographs."""
     maps = made(camera)
     assert maps.specular_model is not None

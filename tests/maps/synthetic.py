@@ -62,7 +62,7 @@ def make_stack(
         )
         for direction in spread_directions(lights)
     )
-    gbuffer = pf.trace(surface, camera)
+    gbuffer = pf.geometry.trace(surface, camera)
     film = pf.Film(clamp=False)
     clean = [pf.render(s, truth, film=film, gbuffer=gbuffer) for s in scenes]
     images = np.stack([np.asarray(image) for image in clean])
@@ -95,7 +95,7 @@ def write_diligent(folder: Path, stack: Stack, brightness: float = 1.0) -> None:
     mask = np.full((camera.height, camera.width), 255, np.uint8)
     mask[:2] = 0
     (folder / "mask.png").write_bytes(imagecodecs.png_encode(mask))
-    normals = np.asarray(pf.trace(surface, camera).normal, float)
+    normals = np.asarray(pf.geometry.trace(surface, camera).normal, float)
     scipy.io.savemat(folder / "Normal_gt.mat", {"Normal_gt": normals})
 
 

@@ -20,7 +20,7 @@ TRUTH = pf.Material((0.4, 0.3, 0.2), 0.3, 20.0, 0.0)
 RAISED = 0.5
 
 
-def hills(near: bool, camera: pf.AbstractCamera = CAMERA) -> tuple:
+def hills(near: bool, camera: pf.geometry.AbstractCamera = CAMERA) -> tuple:
     """Scenes of a plane, images of hills above it that throw shadows, and the hills."""
     down, right = np.gradient(bumps(), 0.1)
     normals = np.stack([-right, down, np.ones(SIZE)], axis=-1)
@@ -147,17 +147,21 @@ def test_only_what_lies_in_shadow_is_left_out(lamps):
 
 def test_a_pinhole_sees_a_surface_moved_as_a_larger_or_smaller_one():
     rays = pf.PerspectiveCamera(8, 6, fov_y=30, position=(0, 0, 4))
-    field = pf.integrate_normals(np.broadcast_to([0.0, 0, 1], (6, 8, 3)), rays)
+    field = pf.geometry.integrate_normals(np.broadcast_to([0.0, 0, 1], (6, 8, 3)), rays)
     near = moved(field, 1.0)
     np.testing.assert_allclose(near[..., 2], 1, atol=1e-5)
     np.testing.assert_allclose(near[..., :2], 0.75 * field.positions()[..., :2])
-    flat = pf.integrate_normals(np.broadcast_to([0.0, 0, 1], (*SIZE, 3)), CAMERA)
+    flat = pf.geometry.integrate_normals(
+        np.broadcast_to([0.0, 0, 1], (*SIZE, 3)), CAMERA
+    )
     np.testing.assert_allclose(moved(flat, 1.0), flat.positions() + [0, 0, 1])
 
 
 def test_distant_lamps_tell_no_distance():
     scenes, *_ = hills(near=False)
-    field = pf.integrate_normals(np.broadcast_to([0.0, 0, 1], (*SIZE, 3)), CAMERA)
+    field = pf.geometry.integrate_normals(
+        np.broadcast_to([0.0, 0, 1], (*SIZE, 3)), CAMERA
+    )
     assert find_offset(pf.fit_maps, scenes, field, field.mask) == 0
 
 

@@ -28,7 +28,7 @@ def test_it_is_what_the_scene_shows():
     found = maps.height()
     world = found.positions()
     surface = pf.NormalMap(maps.normals, positions=world)
-    shadows = pf.cast_shadows(found.height, CAMERA, LIGHTS)
+    shadows = pf.geometry.cast_shadows(found.height, CAMERA, LIGHTS)
     pictures = maps.relight(LIGHTS)
     for light, shadow, picture in zip(LIGHTS, shadows, pictures, strict=True):
         scene = pf.Scene(surface, CAMERA, light, ambient=0.2)
@@ -55,7 +55,7 @@ def test_a_mesh_traced_by_the_camera_has_the_same_shadows():
     scene = pf.Scene(found.mesh(), CAMERA, LIGHTS[:1], shadows=True)
     traced = scene.trace()
     assert traced.visibility is not None
-    (shadow,) = pf.cast_shadows(found.height, CAMERA, LIGHTS[:1])
+    (shadow,) = pf.geometry.cast_shadows(found.height, CAMERA, LIGHTS[:1])
     # Where it is turned away from the light, a mesh has it in shadow too.
     turned = np.asarray(traced.surface_normal) @ np.array([1, 0.2, 0.8]) < 0.1
     sure = np.asarray(traced.mask) & ~turned

@@ -11,6 +11,7 @@ import phongfit as pf
 from data_synth.lights import spread_directions
 from phongfit.maps.job import make_job
 from phongfit.maps.layers import Masks
+from phongfit.maps.result import Strengths
 from phongfit.maps.stacks import ArrayStack
 from phongfit.maps.strengths import find_strengths, may_be_equal, sample_points, solve
 from tests.maps.synthetic import dtype
@@ -35,14 +36,14 @@ def photographs(specular: float, true=TRUE) -> np.ndarray:
     return (images + NOISE * rng.normal(size=images.shape)).astype(dtype())
 
 
-def check(found: pf.Strengths, true: np.ndarray, most: float, error=0.15) -> None:
+def check(found: Strengths, true: np.ndarray, most: float, error=0.15) -> None:
     assert found.values.shape == true.shape
     np.testing.assert_allclose(found.values / true, 1, atol=most)
     # Lamps whose directions are not quite right look like others.
     assert (most * found.values < found.stderr).all() and found.stderr.max() < error
 
 
-def matte(images: np.ndarray, mask=None, per_channel: bool = False) -> pf.Strengths:
+def matte(images: np.ndarray, mask=None, per_channel: bool = False) -> Strengths:
     def never(*args, **options):
         raise AssertionError("a matte surface needs no maps")
 
@@ -111,7 +112,7 @@ def test_near_lamps_have_their_own_directions_at_each_point():
 
 def test_scenes_under_light_so_strong():
     ambient = [dataclasses.replace(s, ambient=jnp.full(3, 0.5)) for s in scenes()]
-    lit = pf.Strengths(TRUE, TRUE / 100).lit(ambient)
+    lit = Strengths(TRUE, TRUE / 100).lit(ambient)
     lights: Any = [scene.lights[0] for scene in lit]
     near = [np.asarray(light.intensity) for light in lights]
     np.testing.assert_allclose(near, TRUE[:, None] * np.ones(3), rtol=1e-6)

@@ -283,7 +283,7 @@ def test_files_of_before_normals_were_kept(maps, tmp_path):
 
 
 def test_a_camera_that_files_do_not_know(maps, tmp_path):
-    class Pinhole(pf.AbstractCamera):
+    class Pinhole(pf.geometry.AbstractCamera):
         width: int = 64
         height: int = 48
         position: Any = None
@@ -336,7 +336,7 @@ from tests.maps.test_tiles import fitted, stack
 out, file, last = sys.argv[1:]
 
 
-class Killed(pf.AbstractStack):
+class Killed(AbstractStack):
     def __init__(self, inner):
         self.inner = inner
 

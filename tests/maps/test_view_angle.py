@@ -6,7 +6,7 @@ import pytest
 import phongfit as pf
 from data_synth.lights import spread_directions
 from phongfit.cli import main
-from phongfit.maps.view_angle import _next_angle, _Noise, check_fov
+from phongfit.maps.view_angle import _next_angle, _Noise, check_fov, seen_over
 from tests.maps.synthetic import dtype
 
 SIZE, FOV = 24, 50.0
@@ -35,7 +35,7 @@ def scenes() -> tuple[pf.Scene, ...]:
     """With parallel rays."""
     camera = pf.OrthographicCamera(SIZE, SIZE)
     lights = [pf.DirectionalLight(lamp) for lamp in LAMPS]
-    return pf.seen_over([pf.Scene(pf.Sphere(), camera, x) for x in lights], 0)
+    return seen_over([pf.Scene(pf.Sphere(), camera, x) for x in lights], 0)
 
 
 def on_the_ball() -> np.ndarray:
@@ -64,7 +64,7 @@ def test_a_glossy_ball_shows_it():
     assert abs(found.degrees - FOV) < min(4 * found.stderr, 3)
     assert str(found).startswith("angle of view fitted: ")
     assert check_fov(scenes(), images, **asked()).improves
-    true = pf.seen_over(scenes(), FOV)
+    true = seen_over(scenes(), FOV)
     assert not check_fov(true, images, **asked()).improves
 
 

@@ -87,5 +87,5 @@ def test_what_is_no_compression(wrong, words):
 
 def test_the_widest_rounding_is_that_of_the_coarsest_mean():
     # T.81's table K.2 begins with 17, as it stands at quality 50; a mean has an eighth.
-    assert pf.JpegCompression.at_quality(50).widest == 17 / 8
-    assert pf.JpegCompression.at_quality(100).widest == 1
+    assert pf.rendering.JpegCompression.at_quality(50).widest == 17 / 8
+    assert pf.rendering.JpegCompression.at_quality(100).widest == 1

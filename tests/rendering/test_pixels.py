@@ -77,7 +77,9 @@ def test_linear_in_the_reflectances_and_in_fog(shading):
     """Fog keeps a share of the light, and adds its colour."""
     scene = world(shading)
     gbuffer = scene.trace()
-    pixels = pf.pixel_terms(eqx.tree_at(lambda s: s.fog, scene, None), gbuffer)
+    pixels = pf.rendering.pixel_terms(
+        eqx.tree_at(lambda s: s.fog, scene, None), gbuffer
+    )
     one, other = materials(1), materials(2)
     other = eqx.tree_at(lambda m: m.shininess, other, one.shininess)
     mixed = jax.tree.map(lambda x, y: 0.3 * x + 0.6 * y, one, other)
@@ -90,7 +92,7 @@ def test_linear_in_the_reflectances_and_in_fog(shading):
     depth = jax.vmap(jax.vmap(scene.camera.depth))(gbuffer.position)
     share = np.exp(-0.1 * np.asarray(depth))[..., None]
     expected = share * clear + (1 - share) * np.array([0.2, 0.3, 0.4])
-    near(radiance(pf.pixel_terms(scene, gbuffer), one), expected)
+    near(radiance(pf.rendering.pixel_terms(scene, gbuffer), one), expected)
 
 
 @pytest.mark.parametrize(
@@ -104,7 +106,7 @@ def test_linear_in_the_reflectances_and_in_fog(shading):
 def test_some_pixels_are_those_of_the_image(shading):
     scene = world(shading)
     gbuffer = scene.trace()
-    pixels, material = pf.pixel_terms(scene, gbuffer), materials()
+    pixels, material = pf.rendering.pixel_terms(scene, gbuffer), materials()
     light, mask = np.asarray(radiance(pixels, material)), np.asarray(gbuffer.mask)
     image = pf.render(scene, material, gbuffer=gbuffer)
     assert 0.3 < mask.mean() < 1
@@ -127,7 +129,7 @@ def test_of_the_points_that_are_lit_only_those_that_show_are_kept():
     mesh = pf.shapes.Torus().mesh(64, 32)
     scene = pf.Scene(mesh, pf.PerspectiveCamera(20, 20), shading=pf.GouraudShading())
     gbuffer = scene.trace()
-    pixels = pf.pixel_terms(scene, gbuffer)
+    pixels = pf.rendering.pixel_terms(scene, gbuffer)
     some = pixels.select(jnp.asarray(np.flatnonzero(gbuffer.mask)[:20]))
     assert len(pixels.terms.diffuse) == 65 * 33
     assert len(some.terms.diffuse) <= 64
@@ -146,7 +148,7 @@ def test_gradients_in_every_leaf(shading):
 @each_shading
 def test_second_derivatives_in_the_material(shading):
     scene = world(shading)
-    pixels = pf.pixel_terms(scene, scene.trace())
+    pixels = pf.rendering.pixel_terms(scene, scene.trace())
     check_gradients(lambda both: both[0].radiance(both[1]), (pixels, materials()))
 
 

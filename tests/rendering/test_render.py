@@ -163,7 +163,7 @@ def test_every_pixel_of_an_image(model):
     phong = isinstance(model, pf.Phong)
     expected = [[pixel_by_numpy(i, j, phong) for j in range(9)] for i in range(7)]
     near(image, expected, LOOSE)
-    inside = pf.trace(full_scene(model).surface, full_scene(model).camera).mask
+    inside = pf.geometry.trace(full_scene(model).surface, full_scene(model).camera).mask
     assert 20 < inside.sum() < 60
 
 
@@ -183,20 +183,20 @@ def test_clamp_and_background():
     raw = np.asarray(pf.render(BALL, bright, film=RAW))
     assert raw.max() > 1.5
     near(image, np.minimum(raw, 1))
-    mask = np.asarray(pf.trace(BALL.surface, BALL.camera).mask)
+    mask = np.asarray(pf.geometry.trace(BALL.surface, BALL.camera).mask)
     assert 0 < mask.sum() < mask.size
     near(image[~mask], np.broadcast_to([0.2, 0.3, 0.4], image[~mask].shape))
 
 
 def test_no_lights_at_all():
     scene = eqx.tree_at(lambda s: s.lights, BALL, ())
-    mask = np.asarray(pf.trace(scene.surface, scene.camera).mask)
+    mask = np.asarray(pf.geometry.trace(scene.surface, scene.camera).mask)
     image = np.asarray(pf.render(scene, pf.Material(ambient=(0.1, 0.2, 0.5))))
     near(image[mask], np.broadcast_to([0.03, 0.06, 0.15], image[mask].shape))
 
 
 def test_a_gbuffer_is_used_again():
-    buffer = pf.trace(BALL.surface, BALL.camera)
+    buffer = pf.geometry.trace(BALL.surface, BALL.camera)
     near(pf.render(BALL, PLASTIC, gbuffer=buffer), pf.render(BALL, PLASTIC))
     flat = eqx.tree_at(lambda b: b.mask, buffer, jnp.zeros_like(buffer.mask))
     image = pf.render(BALL, PLASTIC, gbuffer=flat)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import phongfit as pf
-from phongfit.rendering.terms import AT_ONCE, ShadingTerms, combine, point_terms
+from phongfit.rendering.terms import MAX_UNROLLED, ShadingTerms, combine, point_terms
 from tests.helpers import floats, near, random_rotation, unit
 
 shares = st.floats(0, 1, width=32)
@@ -61,7 +61,9 @@ def world(offset=(0, 0, 0), rotation=None, specular=None, lights=None):
 
 @eqx.filter_jit
 def unclamped(scene, material):
-    return combine(pf.terms(scene, pf.trace(scene.surface, scene.camera)), material)
+    return combine(
+        pf.terms(scene, pf.geometry.trace(scene.surface, scene.camera)), material
+    )
 
 
 def mixed(a, first, b, second):
@@ -154,7 +156,7 @@ def test_no_lights():
     near(combine(found, pf.Material(ambient=0.5, emission=0.1)), [0.25] * 3)
 
 
-@pytest.mark.parametrize("count", [1, AT_ONCE - 1, AT_ONCE + 3])
+@pytest.mark.parametrize("count", [1, MAX_UNROLLED - 1, MAX_UNROLLED + 3])
 def test_highlights_of_all_lights_add_up(count):
     """Also of more lights than are written out, and so do their slopes in f."""
     rng = np.random.default_rng(count)
@@ -173,7 +175,7 @@ def test_many_lights_in_their_order():
     """More than are written out, of all kinds: each as it is by itself."""
     lights = 6 * lights_around()
     lights = (lights[0], *lights)
-    assert len(lights) > AT_ONCE
+    assert len(lights) > MAX_UNROLLED
     visibility = np.random.default_rng(0).random(len(lights))
     place = pf.BlinnPhong(), floats([0.1, 0.2, 0.3]), unit(0, 1, 3), unit(1, 0, 2)
     found = point_terms(lights, floats([0.3] * 3), *place, floats(visibility))
@@ -196,7 +198,7 @@ def test_a_map_of_another_size_is_refused(leaf):
 def test_terms_are_batched_by_vmap():
     """Samples in a row, and the same through an image."""
     scene = world()
-    buffer = pf.trace(scene.surface, scene.camera)
+    buffer = pf.geometry.trace(scene.surface, scene.camera)
     image = pf.terms(scene, buffer)
     row = jax.tree.map(lambda leaf: leaf[1], image)
     material = pf.preset("gold")

@@ -15,7 +15,7 @@ LAMPS = ((0.0, 0.0, 1.0), (0.6, 0.3, 0.7), (-0.8, 0.3, 0.3), (0.1, -0.9, 0.4))
 PINHOLE = pf.PerspectiveCamera(40, 32, fov_y=35.0, position=(0, 0, 5))
 
 
-def shiny(camera: pf.AbstractCamera = CAMERA) -> pf.Maps:
+def shiny(camera: pf.geometry.AbstractCamera = CAMERA) -> pf.Maps:
     """The hills, each pixel with an exponent of its own, and some of them outside."""
     rng = np.random.default_rng(1)
     flags = np.zeros(SIZE, int)
@@ -210,7 +210,7 @@ def test_a_megapixel_is_small(tmp_path):
         normals_stderr=zeros,
         depth=5 - height,
     )
-    surface = pf.HeightField(height, np.ones(size, int), camera)
+    surface = pf.geometry.HeightField(height, np.ones(size, int), camera)
     path = tmp_path / "large.html"
     pf.write_view(path, maps, surface=surface)
     assert path.stat().st_size < 10e6

@@ -184,7 +184,7 @@ def on_plane(scenes: list[pf.Scene]) -> list[pf.Scene]:
 
 def central_mask(rim: float = 0.35) -> np.ndarray:
     """Pixels of the ball without its rim, up to this cosine."""
-    buffer = pf.trace(pf.Sphere(), CAMERA)
+    buffer = pf.geometry.trace(pf.Sphere(), CAMERA)
     return np.asarray(buffer.mask) & (np.asarray(buffer.normal)[..., 2] > rim)
 
 
@@ -242,7 +242,7 @@ def shared_highlight(
 
 def angle_off(maps: pf.Maps) -> float:
     """Root mean square of the normals' angles to the true ones, degrees."""
-    true = np.asarray(pf.trace(pf.Sphere(), CAMERA).normal)
+    true = np.asarray(pf.geometry.trace(pf.Sphere(), CAMERA).normal)
     cosine = np.sum(maps.normals * true, axis=-1)[has_normal(maps)]
     return float(np.sqrt(np.mean(np.degrees(np.arccos(cosine.clip(-1, 1))) ** 2)))
 

@@ -118,7 +118,7 @@ def photographs(
         for way in spread_directions(lights)
     )
     truth = materials(rng, size)
-    gbuffer = pf.trace(surface, camera)
+    gbuffer = pf.geometry.trace(surface, camera)
     clean = [pf.render(s, truth, film=UNCLAMPED, gbuffer=gbuffer) for s in scenes]
     images = np.stack([np.asarray(image) for image in clean])
     noise = level * rng.normal(size=images.shape)

@@ -90,7 +90,7 @@ def four_balls(**changes: Any) -> tuple[pf.Scene, ...]:
     return tuple(ball_scene(lamp(way), **changes) for way in spread_directions(4))
 
 
-def mesh_ball(shading: pf.AbstractShading) -> Draw:
+def mesh_ball(shading: pf.geometry.AbstractShading) -> Draw:
     """A ball of triangles."""
     return cached_subject(
         lambda: usual_subject(

@@ -69,6 +69,8 @@ def _parts() -> dict[str, Any]:
 def _calls() -> dict[str, Call]:
     """Every public function and class that a user calls, with good arguments."""
     import phongfit as pf
+    from phongfit.material import unstack_materials
+    from phongfit.reflectance import blinn_from_phong, phong_from_blinn
 
     p = _parts()
     scene, image, material = p["scene"], p["image"], p["material"]
@@ -153,7 +155,7 @@ def _calls() -> dict[str, Call]:
             ),
         ),
         "tessellate": (
-            pf.tessellate,
+            pf.geometry.tessellate,
             dict(
                 function=lambda u, v: __import__("jax").numpy.stack([u, v, u * v]),
                 u=(0, 1),
@@ -183,7 +185,7 @@ def _calls() -> dict[str, Call]:
         "PerspectiveCamera.look_at": (
             pf.PerspectiveCamera.look_at, size | looks | dict(fov_y=30.0)
         ),
-        "look_at": (pf.look_at, looks),
+        "look_at": (pf.geometry.look_at, looks),
         "Scene": (
             pf.Scene,
             dict(
@@ -202,13 +204,14 @@ def _calls() -> dict[str, Call]:
         "Film": (pf.Film, dict(clamp=True, encoding="srgb", bits=8, jpeg=None)),
         "Film.expose": (pf.Film().expose, dict(light=image)),
         "JpegCompression": (
-            pf.JpegCompression,
+            pf.rendering.JpegCompression,
             dict(
                 tables=np.ones((3, 8, 8), int), sampling=((1, 1),) * 3, ycbcr=True
             ),
         ),
         "JpegCompression.at_quality": (
-            pf.JpegCompression.at_quality, dict(quality=90, subsampling="4:2:0")
+            pf.rendering.JpegCompression.at_quality,
+            dict(quality=90, subsampling="4:2:0"),
         ),
         "BlinnPhong": (pf.BlinnPhong, dict(gate=True, normalized=False)),
         "Phong": (pf.Phong, dict(gate=True)),
@@ -218,16 +221,16 @@ def _calls() -> dict[str, Call]:
         "SoftL1": (pf.SoftL1, dict(k=1.0)),
         "Cauchy": (pf.Cauchy, dict(k=1.0)),
         "Tukey": (pf.Tukey, dict(k=1.0)),
-        "blinn_from_phong": (pf.blinn_from_phong, dict(shininess=np.float32(3.0))),
-        "phong_from_blinn": (pf.phong_from_blinn, dict(shininess=np.ones(3))),
+        "blinn_from_phong": (blinn_from_phong, dict(shininess=np.float32(3.0))),
+        "phong_from_blinn": (phong_from_blinn, dict(shininess=np.ones(3))),
         "preset": (pf.preset, dict(name="brass")),
         "stack_materials": (pf.stack_materials, dict(materials=[material, material])),
         "unstack_materials": (
-            pf.unstack_materials, dict(material=material, count=None)
+            unstack_materials, dict(material=material, count=None)
         ),
-        "join": (pf.join, dict(meshes=[mesh, mesh])),
+        "join": (pf.geometry.join, dict(meshes=[mesh, mesh])),
         "trace": (
-            pf.trace,
+            pf.geometry.trace,
             dict(
                 surface=pf.Sphere(),
                 camera=camera,
@@ -239,8 +242,11 @@ def _calls() -> dict[str, Call]:
         "Sphere.trace": (pf.Sphere().trace, dict(camera=camera)),
         "Mesh.trace": (mesh.trace, dict(camera=camera)),
         "terms": (pf.terms, dict(scene=scene, gbuffer=p["gbuffer"])),
-        "pixel_terms": (pf.pixel_terms, dict(scene=scene, gbuffer=p["gbuffer"])),
-        "combine": (pf.combine, dict(terms=p["terms"], material=material)),
+        "pixel_terms": (
+            pf.rendering.pixel_terms,
+            dict(scene=scene, gbuffer=p["gbuffer"]),
+        ),
+        "combine": (pf.rendering.combine, dict(terms=p["terms"], material=material)),
         "render": (
             pf.render,
             dict(scene=scene, material=material, film=p["film"], gbuffer=p["gbuffer"]),

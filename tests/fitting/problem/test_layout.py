@@ -208,7 +208,7 @@ ROTATION = "scene.camera.rotation"
 
 def test_a_rotation_is_three_angles_and_stays_a_rotation():
     """In degrees about the camera's own axes, from where it was."""
-    start = np.asarray(pf.look_at((1, 2, 4), (0, 0, 0)))
+    start = np.asarray(pf.geometry.look_at((1, 2, 4), (0, 0, 0)))
     camera = pf.OrthographicCamera(4, 4, rotation=start + 1e-5)
     scene = pf.Scene(pf.Sphere(), camera, SCENE.lights)
     unknowns = unknowns_of((ROTATION,), (), KNOWN, {}, scenes=[scene])
@@ -236,7 +236,10 @@ def test_a_rotation_is_three_angles_and_stays_a_rotation():
 
 
 def test_rotations_of_several_images():
-    turns = [pf.look_at((0, 0, 4), (0, 0, 0)), pf.look_at((4, 0, 1), (0, 0, 0))]
+    turns = [
+        pf.geometry.look_at((0, 0, 4), (0, 0, 0)),
+        pf.geometry.look_at((4, 0, 1), (0, 0, 0)),
+    ]
     scenes = [
         pf.Scene(pf.Sphere(), pf.OrthographicCamera(4, 4, rotation=turn), SCENE.lights)
         for turn in turns

@@ -15,7 +15,9 @@ NOISE = 0.002
 LAMP = pf.DirectionalLight((1, 1, 2), 0.5)
 
 
-def scene(surface: pf.AbstractSurface | None = None, *lights: pf.AbstractLight):
+def scene(
+    surface: pf.geometry.AbstractSurface | None = None, *lights: pf.AbstractLight
+):
     camera = pf.OrthographicCamera(SIZE, SIZE)
     surface = pf.Sphere() if surface is None else surface
     return pf.Scene(surface, camera, lights or LAMP, ambient=0.3)

@@ -9,6 +9,7 @@ import phongfit as pf
 from phongfit.fitting import texture_fit
 from phongfit.fitting.texels import equations, steps
 from phongfit.fitting.texels.job import State
+from phongfit.fitting.texels.result import TextureFit
 from phongfit.fitting.texels.solve import Preconditioned
 from phongfit.fitting.texels.stencil import Stencil
 from tests.fitting.texels.checkers import (
@@ -31,7 +32,7 @@ def bare() -> pf.Material:
     return pf.Material(0.0, 0.0, 32.0, 0.0)
 
 
-def fitted(count: int = 12, noise: float = 0.01, **options) -> pf.TextureFit:
+def fitted(count: int = 12, noise: float = 0.01, **options) -> TextureFit:
     truth = painted(count, diffuse=DIFFUSE, specular=SPECULAR, shininess=EXPONENT)
     images = photographs(truth, unit(), noise)
     given = {"textures": ALL, "unknowns": (), "known": bare()}
@@ -43,7 +44,7 @@ def fit():
     return fitted()
 
 
-def pulls(fit: pf.TextureFit, name: str, true) -> np.ndarray:
+def pulls(fit: TextureFit, name: str, true) -> np.ndarray:
     """Of texels that are identified; of exponents those of their logarithms."""
     values, errors = fit.values[name][0], fit.stderr[name][0]
     true = np.broadcast_to(true, values.shape)

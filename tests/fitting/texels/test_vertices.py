@@ -14,6 +14,7 @@ import phongfit as pf
 from phongfit.files.fits import DataRecord, DataSettings
 from phongfit.files.texture_fits import save_texture_fit
 from phongfit.fitting.texels import solve
+from phongfit.fitting.texels.result import TextureFit
 from phongfit.fitting.texels.solve import inverse_diagonal, precondition
 from phongfit.fitting.texels.sums import Touched
 from phongfit.fitting.texels.vertices import RINGS, Vertices
@@ -128,13 +129,13 @@ def images() -> list[np.ndarray]:
     return ball.images()
 
 
-def fitted(scene, image, **options) -> pf.TextureFit:
+def fitted(scene, image, **options) -> TextureFit:
     known = pf.Material(ambient=0.0)
     given: Any = {"size": "vertices", "per_channel": (), "known": known}
     return pf.fit_texture(scene, image, **(given | options))
 
 
-def pulls(fit: pf.TextureFit, true=TRUE) -> np.ndarray:
+def pulls(fit: TextureFit, true=TRUE) -> np.ndarray:
     """Of vertices that are seen at least three times."""
     errors = fit.stderr["diffuse"][0]
     told = np.isfinite(errors) & (fit.seen[0] >= 3)[:, None]

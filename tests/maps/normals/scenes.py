@@ -77,7 +77,9 @@ def hide(
             specular=np.broadcast_to(strengths.T[..., None], (*size, 3)),
             shininess=sharp.T[..., None],
         )
-    camera: pf.AbstractCamera = pf.OrthographicCamera(width, height, view_height=2.0)
+    camera: pf.geometry.AbstractCamera = pf.OrthographicCamera(
+        width, height, view_height=2.0
+    )
     if perspective:
         fov = 2 * np.rad2deg(np.arctan(1 / 4))
         camera = pf.PerspectiveCamera(width, height, fov_y=fov, position=(0, 0, 4))
@@ -93,7 +95,7 @@ def hide(
     true = pf.NormalMap(normals, positions=places)
     flat = pf.NormalMap(np.broadcast_to([0.0, 0, 1], normals.shape), positions=places)
     scenes = [pf.Scene(true, camera, lamp, specular_model=model) for lamp in lamps]
-    seen = pf.trace(true, camera)
+    seen = pf.geometry.trace(true, camera)
     images = np.stack(
         [np.asarray(pf.render(s, truth, film=FREE, gbuffer=seen)) for s in scenes]
     )
