@@ -13,7 +13,6 @@ from data_synth.dataset import distribute_lights, make_dataset
 from data_synth.lights import LightKind, brightest_intensity, make_lights
 from data_synth.writing import write_dataset
 from phongfit import (
-    AbstractCamera,
     AbstractLight,
     BlinnPhong,
     Material,
@@ -26,6 +25,7 @@ from phongfit import (
 )
 from phongfit.cli import run
 from phongfit.files.dataset import Dataset
+from phongfit.geometry import AbstractCamera
 from phongfit.rendering.film import NamedEncoding
 
 Numbers = tuple[float, ...]

@@ -10,7 +10,6 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from data_synth.lights import brightest_intensity, make_lights
 from phongfit import (
-    AbstractCamera,
     AbstractLight,
     AbstractSpecular,
     Film,
@@ -19,11 +18,10 @@ from phongfit import (
     Scene,
     Sphere,
     render,
-    trace,
 )
 from phongfit.files.dataset import Dataset
 from phongfit.files.images import from_levels, to_levels
-from phongfit.geometry.surfaces import AbstractSurface, GBuffer
+from phongfit.geometry import AbstractCamera, AbstractSurface, GBuffer, trace
 from phongfit.rendering.film import Encoding
 
 

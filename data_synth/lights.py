@@ -15,8 +15,8 @@ from phongfit import (
     Scene,
     SpotLight,
     render,
-    trace,
 )
+from phongfit.geometry import trace
 
 LightKind = Literal["directional", "point", "spot", "mixed"]
 

@@ -14,7 +14,7 @@ import OpenEXR
 import pytest
 from PIL import Image
 
-from phongfit import Film, JpegCompression
+from phongfit import Film
 from phongfit.files.coded import Coded
 from phongfit.files.images import (
     from_levels,
@@ -26,6 +26,7 @@ from phongfit.files.images import (
     write_image,
 )
 from phongfit.files.photographs import read_photograph
+from phongfit.rendering import JpegCompression
 from tests.helpers import said
 
 FORMATS = [
