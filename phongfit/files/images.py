@@ -1,7 +1,9 @@
 """Images on disk: read as linear light, written in a stated encoding."""
 
+import functools
 import os
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar
 
@@ -102,7 +104,7 @@ def read_opaque(
     *,
     white: int | None = None,
     max_pixels: int | None = None,
-) -> "Light":
+) -> "Photo":
     """Read like [`read_image`][], which describes arguments, errors and warnings."""
     light = read_light(path, encoding, white=white, max_pixels=max_pixels, opaque=True)
     lost = np.count_nonzero(~light.usable)
@@ -116,21 +118,61 @@ def read_opaque(
     return light
 
 
-class Light(NamedTuple):
-    """Linear light of an image, encoded as in its file.
+@dataclass(frozen=True)
+class Photo:
+    """A photograph: upright linear light with the primaries of sRGB.
 
-    - `usable`: true for opaque pixels whose channels are not mixed with saturated ones.
-    - `clamped`: true if the file's format has no numbers above white.
+    - `path`: its file.
+    - `encoding`: of its numbers.
+    - `white`: as in [`read_image`][].
+    - `coded`: light in the file's encoding; white and saturated samples are 1.
+    - `usable`: false where the file's alpha is less than 1, and where a saturated
+        channel was mixed into others in the conversion to sRGB.
+    - `clamped`: true if the format ends at white; false for floating-point images.
+    - `exposure`: as the camera recorded it.
+    - `relative_exposure`: exposure relative to the first photograph of its series; 1
+        for a single one.
     """
 
+    path: Path
+    encoding: Encoding
     coded: Coded
     usable: Bool[np.ndarray, "height width"]
     clamped: bool
+    exposure: Exposure = Exposure()
+    relative_exposure: float = 1.0
+    white: int | None = None
 
     @property
+    def name(self) -> str:
+        """Name of the file."""
+        return self.path.name
+
+    @functools.cached_property
     def image(self) -> Float[np.ndarray, "height width 3"]:
         """The decoded linear light."""
         return self.coded.light
+
+    @property
+    def film(self) -> Film:
+        """The film of the file: see [`read_film`][]."""
+        return read_film(self.path, self.encoding, white=self.white)
+
+    @property
+    def unsaturated(self) -> Bool[np.ndarray, "height width 3"]:
+        """Mask of samples that are neither cut off at white nor mixed with others."""
+        usable = np.broadcast_to(self.usable[..., None], self.image.shape)
+        return usable & (self.image < 1) if self.clamped else usable.copy()
+
+    @property
+    def common_light(self) -> Float[np.ndarray, "height width 3"]:
+        """The image scaled to the exposure of the first photograph of its series.
+
+        White is then 1 / `relative_exposure`: use `unsaturated` to find valid samples.
+        To keep images as they are, multiply the lights of their scenes instead, and the
+        ambient light, by `relative_exposure`.
+        """
+        return self.image / np.asarray(self.relative_exposure, self.image.dtype)
 
 
 def read_light(
@@ -140,7 +182,7 @@ def read_light(
     white: int | None = None,
     max_pixels: int | None = None,
     opaque: bool = False,
-) -> Light:
+) -> Photo:
     """Read an image like [`read_image`][], but return a mask instead of a warning.
 
     The mask is false where a saturated channel was mixed into others, and where alpha
@@ -171,7 +213,8 @@ def read_light(
     grey = numbers.shape[-1] == 1
     numbers = np.repeat(numbers, 3, axis=-1) if grey else np.ascontiguousarray(numbers)
     clamped = values.dtype.kind != "f"
-    return Light(Coded(numbers, coded.table), usable, clamped)
+    coded = Coded(numbers, coded.table)
+    return Photo(path, encoding, coded, usable, clamped, white=white)
 
 
 def _to_white(path: Path, values: np.ndarray, white: int | None) -> np.ndarray:
