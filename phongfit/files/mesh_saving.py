@@ -29,7 +29,7 @@ from phongfit.files.images import to_levels
 from phongfit.files.limits import exponent, limited, lost
 from phongfit.files.mtl import COLOURS, mtl_block
 from phongfit.files.outputs import replacing
-from phongfit.files.usd import SUFFIXES, write_usd
+from phongfit.files.usd import COLOUR, SUFFIXES, write_usd
 from phongfit.geometry.meshes import Mesh
 from phongfit.material import Material, unstack_materials
 from phongfit.rendering.film import encode
@@ -239,6 +239,7 @@ def _rows(colours: VertexColours) -> np.ndarray:
 
 
 def _write_obj(path: Path, mesh: Mesh, own: list[_Own], nearest: bool) -> None:
+    _check_name(path)
     own = [_flattened(one, nearest) for one in own]
     with replacing(path) as temporary:
         _write_library(temporary.with_suffix(".mtl"), own, nearest)
@@ -253,15 +254,19 @@ def write_textured_mtl(
 
     **Raises:** `ValueError` that names the parameter, `OSError` that names `path`.
     """
+    _check_name(path)
     own = _Own(name, material, textures, np.zeros(0, int), bits=8)
     with replacing(path) as temporary:
         _write_library(temporary, [own], nearest)
 
 
-def _write_library(path: Path, own: list[_Own], nearest: bool) -> None:
-    """Write an `.mtl`, and the textures of its materials beside it."""
+def _check_name(path: Path) -> None:
     if any(blank in path.stem for blank in " \t#"):
         raise ValueError(f"{path}: expected a name without blanks, for the textures")
+
+
+def _write_library(path: Path, own: list[_Own], nearest: bool) -> None:
+    """Write an `.mtl`, and the textures of its materials beside it."""
     text = ["# Textures multiply the numbers; those of colours are sRGB-encoded."]
     for number, one in enumerate(own):
         names = [n for n in MTL_MAPS if getattr(one.textures, n) is not None]
@@ -287,10 +292,10 @@ def _obj_text(mesh: Mesh, own: list[_Own], library: str) -> str:
     corners = [faces, faces]
     if any("diffuse" in one.textures.at_vertices for one in own):
         # A vertex has one colour, so each material gets separate vertices.
-        apart = _apart_by_material(len(points), faces, own)
-        points, normals = points[apart.vertex], normals[apart.vertex]
-        corners = [apart.faces, apart.faces]
-        points = np.column_stack([points, encode(apart.colours, "srgb")])
+        whole = _coloured(mesh, own, [1] * len(own))
+        colours = encode(whole.colours[COLOUR], "srgb")
+        points, normals = np.column_stack([whole.positions, colours]), whole.normals
+        corners = [whole.faces, whole.faces]
     text += _lines(" ".join(["v", *["%.9g"] * points.shape[1]]), points)
     text += _lines("vn %.9g %.9g %.9g", normals)
     if mesh.uv is not None:
@@ -320,36 +325,6 @@ def _indexed_uv(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     return uv.reshape(-1, 2), np.arange(faces.size).reshape(faces.shape)
 
 
-class _OneEach(NamedTuple):
-    """Vertices that each belong to one material.
-
-    - `vertex`: index of each in the mesh; `material`: index of its material.
-    - `faces`: indices into these vertices.
-    - `colours`: at most 1.
-    """
-
-    vertex: np.ndarray
-    material: np.ndarray
-    faces: np.ndarray
-    colours: np.ndarray
-
-
-def _apart_by_material(count: int, faces: np.ndarray, own: list[_Own]) -> _OneEach:
-    of_face = np.zeros(len(faces), int)
-    for k, one in enumerate(own):
-        of_face[one.faces] = k
-    keys = of_face[:, None] * count + faces
-    used, places = np.unique(keys, return_inverse=True)
-    material, vertex = used // count, used % count
-    colours = np.ones((len(used), 3))
-    for k, one in enumerate(own):
-        rows = one.textures.at_vertices.get("diffuse")
-        if rows is not None:
-            here = material == k
-            colours[here] = _rows(rows)[vertex[here]]
-    return _OneEach(vertex, material, places.reshape(faces.shape), colours)
-
-
 def _write_ply(path: Path, mesh: Mesh, own: list[_Own], nearest: bool) -> None:
     """Write a PLY with ρ_d as colours of vertices, the only material in this format."""
     own, diffuse = [_flattened(one, nearest) for one in own], []
@@ -367,18 +342,10 @@ def _write_ply(path: Path, mesh: Mesh, own: list[_Own], nearest: bool) -> None:
             if isinstance(texture, Texture):
                 lost(f"{name}: PLY has no place for a texture", nearest)
         diffuse.append(limited("diffuse", leaves["diffuse"], 1, "PLY", nearest))
-    points, normals = np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals())
-    apart = _apart_by_material(len(points), np.asarray(mesh.faces), own)
-    factor = np.stack([np.broadcast_to(one, 3) for one in diffuse])[apart.material]
-    levels = to_levels(apart.colours * factor, "srgb", 8)
-    _write_triangles(
-        path,
-        "ply",
-        points[apart.vertex],
-        apart.faces,
-        vertex_normals=normals[apart.vertex],
-        vertex_colors=levels,
-    )
+    whole = _coloured(mesh, own, diffuse)
+    levels = to_levels(whole.colours[COLOUR], "srgb", 8)
+    more = {"vertex_normals": whole.normals, "vertex_colors": levels}
+    _write_triangles(path, "ply", whole.positions, whole.faces, **more)
 
 
 def _write_triangles(
@@ -396,11 +363,29 @@ def _write_triangles(
         temporary.write_bytes(content)
 
 
-def _part(mesh: Mesh, own: _Own) -> Part:
+def _coloured(mesh: Mesh, own: list[_Own], factors: Iterable[Any]) -> Part:
+    """All faces, with vertices of their own for each material: a vertex has one colour.
+
+    **Arguments:** `factors`: of the colours of each material's vertices.
+    """
+    parts = [_part(mesh, one, with_uv=False) for one in own]
+    starts = np.cumsum([0] + [len(part.positions) for part in parts])
+    faces = np.zeros(mesh.faces.shape, int)
+    colours = []
+    for one, part, start, factor in zip(own, parts, starts, factors, strict=False):
+        faces[one.faces] = part.faces + start
+        own_colours = part.colours.get(COLOUR, np.ones_like(part.positions))
+        colours.append(factor * own_colours)
+    positions = np.concatenate([part.positions for part in parts])
+    normals = np.concatenate([np.asarray(part.normals) for part in parts])
+    return Part(positions, faces, normals, None, {COLOUR: np.concatenate(colours)})
+
+
+def _part(mesh: Mesh, own: _Own, with_uv: bool = True) -> Part:
     """One material's faces, with vertices repeated for each of their uv."""
     place = vertex = np.asarray(mesh.faces)[own.faces].ravel()
     uv = None
-    if mesh.uv is not None:
+    if mesh.uv is not None and with_uv:
         rows, places = _indexed_uv(mesh)
         place = places[own.faces].ravel()
         uv = rows[place]

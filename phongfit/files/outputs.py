@@ -58,7 +58,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
             place.enter_context(_made(target.parent, path))
             work = place.enter_context(_workplace(_beside(target), path, PATIENCE))
         new = work / "new"
-        with _blaming(path, new):
+        with _blaming(path, new, path.parent):
             new.mkdir()
             yield new / path.name
             _put_all(new, path)
@@ -308,8 +308,11 @@ def _copy_into(source: Path, path: Path) -> None:
 
 
 @contextlib.contextmanager
-def _blaming(path: Path, temporary: Path) -> Iterator[None]:
-    """Make errors name `path` in place of the temporary file."""
+def _blaming(path: Path, temporary: Path, place: Path | None = None) -> Iterator[None]:
+    """Make errors name `path` in place of the temporary folder.
+
+    **Arguments:** `place`: final place of the folder's files; default `path`.
+    """
     try:
         yield
     except OSError as error:
@@ -320,7 +323,7 @@ def _blaming(path: Path, temporary: Path) -> Iterator[None]:
             raise OSError(f"{path}: cannot be written: {error.strerror}") from error
         if str(temporary) in str(error):
             # The error is of a file within the temporary folder.
-            told = str(error).replace(str(temporary), str(path))
+            told = str(error).replace(str(temporary), str(place or path))
             raise OSError(told) from error
         raise
 
