@@ -1,7 +1,7 @@
 """Conversion of whole scenes to and from the state of fixed-function OpenGL 1.x.
 
 Light model, shade model and matrices are here; lights, materials and fog are in
-[`phongfit.files.opengl`][].
+`experiments.opengl_state`.
 """
 
 import math
@@ -11,17 +11,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from phongfit.files.limits import limited, lost
-from phongfit.files.opengl import (
-    FORMAT,
-    Parameters,
+from experiments.opengl_state import (
     check_names,
     fog_from_opengl,
     fog_to_opengl,
     light_from_opengl,
     light_to_opengl,
-    rgba,
 )
+from phongfit.files.limits import limited, lost
+from phongfit.files.opengl import FORMAT, Parameters, rgba
 from phongfit.geometry.cameras import (
     AbstractCamera,
     OrthographicCamera,

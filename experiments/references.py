@@ -15,8 +15,8 @@ from jaxtyping import Bool, Float, Int
 
 import phongfit as pf
 from experiments.opengl_scene import scene_from_opengl
+from experiments.opengl_state import material_from_opengl
 from phongfit.files.inputs import naming, read_text
-from phongfit.files.opengl import material_from_opengl
 
 Arrays = dict[str, np.ndarray]
 

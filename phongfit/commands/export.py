@@ -1,33 +1,31 @@
 """`phongfit export`: a material for other programs."""
 
-import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from tyro.conf import Positional, arg
 
 from phongfit.commands.fit import FIT_FILE
 from phongfit.commands.options import optional
-from phongfit.files.gltf import Part, pbr_material, write_gltf
 from phongfit.files.inputs import sparing
 from phongfit.files.limits import as_blinn
 from phongfit.files.materials import NamedMaterial, read_material, write_material
 from phongfit.files.mesh_saving import save_mesh
 from phongfit.files.mtl import write_mtl
-from phongfit.files.opengl_lines import write_opengl
+from phongfit.files.opengl import write_opengl
 from phongfit.files.outputs import check_file
 from phongfit.files.scenes import load_scene
 from phongfit.files.texture_fits import MESH_FILE
-from phongfit.files.usd import SUFFIXES, write_usd
+from phongfit.files.usd import SUFFIXES
 from phongfit.geometry.meshes import Mesh
 from phongfit.geometry.shapes import Ball
 from phongfit.geometry.surfaces import AbstractSurface, Sphere
 from phongfit.maps.export import export_maps
 from phongfit.maps.folder import RECORD_FILE
-from phongfit.material import Material, unstack_materials
+from phongfit.material import Material, stack_materials, unstack_materials
 from phongfit.reflectance import AbstractSpecular, BlinnPhong
 
 Target = Literal["mtl", "gltf", "usd", "json", "opengl", "obj", "ply", "stl"]
@@ -252,65 +250,44 @@ def _write_opengl(job: Job) -> None:
     write_opengl(job.options.out, name, job.blinn[0], nearest=nearest)
 
 
-def _write_gltf(job: Job) -> None:
-    write_gltf(job.options.out, _on_surface(job))
-
-
-def _write_usd(job: Job) -> None:
-    write_usd(job.options.out, _on_surface(job), nearest=job.options.nearest)
-
-
-def _on_surface(job: Job) -> list[tuple[Part, dict[str, Any]]]:
-    """Parts of the scene's surface, or of a sphere, each with its material."""
-    scene = job.options.scene
-    surface = Sphere() if scene is None else load_scene(scene).surface
-    parts = surface_parts(surface)
-    if len(job.blinn) not in (1, len(parts)):
+def _write_surface(job: Job) -> None:
+    """Write the scene's surface, or a sphere, with the materials."""
+    out, scene = job.options.out, job.options.scene
+    wanted = [suffix for suffix, to in BY_SUFFIX.items() if to == job.to]
+    if out.suffix.lower() not in wanted:
         raise ValueError(
-            f"scene: expected {len(parts)} materials for its surface, got "
-            f"{len(job.blinn)}"
+            f"{out}: expected suffix {' or '.join(wanted)}, got {out.suffix!r}"
         )
-    materials = [
-        pbr_material(name, one, job.options.nearest)
-        for name, one in zip(job.names, job.blinn, strict=True)
-    ]
-    if len(materials) == 1:
-        materials *= len(parts)
-    return list(zip(parts, materials, strict=True))
+    surface = Sphere() if scene is None else load_scene(scene).surface
+    count, material = len(job.blinn), job.blinn[0]
+    mesh = surface_mesh(surface, several=count > 1)
+    if count != mesh.materials:
+        raise ValueError(
+            f"scene: expected {mesh.materials} materials for its surface, got {count}"
+        )
+    if count > 1:
+        material = stack_materials(job.blinn)
+    save_mesh(out, mesh, material, job.names, nearest=job.options.nearest)
 
 
 _WRITERS: dict[Target, Callable[[Job], None]] = {
     "mtl": _write_mtl,
-    "gltf": _write_gltf,
-    "usd": _write_usd,
+    "gltf": _write_surface,
+    "usd": _write_surface,
     "json": _write_json,
     "opengl": _write_opengl,
 }
 
 
-def surface_parts(surface: AbstractSurface) -> list[Part]:
-    """A surface as triangles, a part for each of its materials; else a unit sphere."""
-    if isinstance(surface, Mesh):
-        mesh, center = surface, np.zeros(3)
-    else:
-        radius = float(surface.radius) if isinstance(surface, Sphere) else 1.0
-        mesh = Ball(radius).mesh(96, 48)
-        center = np.asarray(surface.center) if isinstance(surface, Sphere) else 0.0
-    positions = np.asarray(mesh.vertices) + center
-    normals, faces = np.asarray(mesh.vertex_normals()), np.asarray(mesh.faces)
-    index = np.zeros(len(faces), int)
-    if mesh.material_index is not None:
-        index = np.asarray(mesh.material_index)
-    # One sort for all materials is faster than a mask for each.
-    order = np.argsort(index, kind="stable")
-    ends = np.searchsorted(index[order], np.arange(mesh.materials + 1))
-    return [
-        _used(positions, faces[order[start:end]], normals)
-        for start, end in itertools.pairwise(ends)
-    ]
+def surface_mesh(surface: AbstractSurface, several: bool) -> Mesh:
+    """A surface as triangles without textures; a unit sphere if it is no solid.
 
-
-def _used(positions: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> Part:
-    """Some of a mesh's faces, with the vertices that they use."""
-    vertices, place = np.unique(faces, return_inverse=True)
-    return Part(positions[vertices], place.reshape(-1, 3), normals[vertices])
+    **Arguments:** `several`: keep the materials of a mesh apart.
+    """
+    center = np.zeros(3)
+    if not isinstance(surface, Mesh):
+        ball = surface if isinstance(surface, Sphere) else Sphere()
+        surface, center = Ball(float(ball.radius)).mesh(96, 48), np.asarray(ball.center)
+    index = surface.material_index if several else None
+    places, normals = np.asarray(surface.vertices) + center, surface.vertex_normals()
+    return Mesh(places, surface.faces, normals, index)

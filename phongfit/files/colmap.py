@@ -51,8 +51,11 @@ PLACES = (".", "sparse/0", "sparse")
 CAMERA = 20_000
 """Approximate number of bytes that a camera takes in memory."""
 
-# Bytes of binary files: a camera's head, an image's, and a point in one.
-_CAMERA, _IMAGE, _POINT = struct.Struct("<iiQQ"), struct.Struct("<i7di"), 24
+POINT = 24
+"""Bytes of a point of an image in binary files."""
+
+LONGEST = 4096
+"""Maximum length of an image's name, bytes."""
 
 Intrinsics = dict[int, dict[str, Any]]
 
@@ -227,34 +230,28 @@ def _words(line: str, at_least: int, what: str) -> list[str]:
 
 
 class _Bytes:
-    """Reader of a binary file from its start; raises if the file is too short."""
+    """Reader of a binary file from its start.
+
+    **Raises:** `ValueError` if the file is too short.
+    """
 
     def __init__(self, path: Path):
         self.data, self.at = read_bytes(path), 0
 
-    def take(self, layout: struct.Struct) -> tuple[Any, ...]:
-        self.need(layout.size)
-        values = layout.unpack_from(self.data, self.at)
-        self.at += layout.size
+    def take(self, layout: str) -> tuple[Any, ...]:
+        """The next numbers, in the notation of `struct`."""
+        if struct.calcsize(layout) > len(self.data) - self.at:
+            raise ValueError("is truncated: expected more bytes")
+        values = struct.unpack_from(layout, self.data, self.at)
+        self.at += struct.calcsize(layout)
         return values
-
-    def need(self, size: int) -> None:
-        left = len(self.data) - self.at
-        if size > left:
-            raise ValueError(f"is truncated: expected {size} more bytes, got {left}")
-
-    def count(self, smallest: int) -> int:
-        """The number of items that follow, each of at least `smallest` bytes."""
-        (count,) = self.take(struct.Struct("<Q"))
-        self.need(count * smallest)
-        return count
 
     def text(self) -> str:
         """Text up to a zero byte."""
-        end = self.data.find(b"\0", self.at)
-        if end < 0:
+        word, zero, _ = self.data[self.at : self.at + LONGEST].partition(b"\0")
+        if not zero:
             raise ValueError("is truncated: expected the end of a name")
-        word, self.at = self.data[self.at : end], end + 1
+        self.at += len(word) + 1
         try:
             return word.decode("utf-8")
         except UnicodeDecodeError:
@@ -262,6 +259,8 @@ class _Bytes:
 
     def end(self) -> None:
         left = len(self.data) - self.at
+        if left < 0:
+            raise ValueError("is truncated: expected more bytes")
         if left:
             raise ValueError(f"expected nothing after what it counts, got {left} bytes")
 
@@ -270,15 +269,15 @@ def _binary_cameras(path: Path) -> Intrinsics:
     file, known = _Bytes(path), {}
     by_number = {model.number: name for name, model in MODELS.items()}
     with naming(str(path)):
-        for _ in range(file.count(_CAMERA.size)):
-            number, model, width, height = file.take(_CAMERA)
+        for _ in range(*file.take("<Q")):
+            number, model, width, height = file.take("<iiQQ")
             with naming(f"camera {number}"):
                 if model not in by_number:
                     raise _unknown(model)
                 if number in known:
                     raise ValueError("comes twice")
                 name = by_number[model]
-                layout = struct.Struct(f"<{len(MODELS[name].parameters)}d")
+                layout = f"<{len(MODELS[name].parameters)}d"
                 known[number] = _intrinsics(name, width, height, file.take(layout))
         file.end()
     return known
@@ -287,13 +286,14 @@ def _binary_cameras(path: Path) -> Intrinsics:
 def _binary_images(path: Path) -> list[_Image]:
     file, images = _Bytes(path), []
     with naming(str(path)):
-        count = file.count(_IMAGE.size + 1 + 8)
-        afford(CAMERA * count, f"{count} cameras")
+        (count,) = file.take("<Q")
+        # No more than the file has bytes, whatever it states.
+        afford(CAMERA * min(count, len(file.data)), f"{count} cameras")
         for _ in range(count):
-            _, *pose, camera = file.take(_IMAGE)
+            _, *pose, camera = file.take("<i7di")
             name = file.text()
-            points = file.count(_POINT)
-            file.at += points * _POINT
+            (points,) = file.take("<Q")
+            file.at += points * POINT
             images.append(_Image(name, tuple(pose[:4]), tuple(pose[4:]), camera))
         file.end()
     return images

@@ -106,18 +106,9 @@ class FitSettings(AbstractRecord):
             )
             for name, (low, high) in self.bounds.items()
         }
-        return Specification(
-            unknowns=self.unknowns,
-            per_channel=self.per_channel,
-            per_image=self.per_image,
-            known=known,
-            bounds=bounds,
-            fixed=self.fixed,
-            ties=self.ties,
-            priors=self.priors,
-            loss=self.loss,
-            max_steps=self.max_steps,
-        )
+        given = dict(self) | {"known": known, "bounds": bounds}
+        del given["noise"]
+        return Specification(**given)
 
 
 class DataSettings(AbstractRecord):

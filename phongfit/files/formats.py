@@ -13,7 +13,7 @@ import re
 import struct
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import imagecodecs
@@ -30,7 +30,7 @@ from phongfit.rendering.jpeg import JpegCompression
 logging.getLogger("imagecodecs").addHandler(logging.NullHandler())
 
 
-class Refused(Exception):
+class Refused(ValueError):
     """An intact file whose contents are not supported."""
 
 
@@ -293,28 +293,32 @@ _STARTS = {
     b"MM\0+": ".tif",
     b"#?": ".hdr",
     b"v/1\x01": ".exr",
+    b"GIF8": ".gif",
+    b"BM": ".bmp",
+    b"RIFF": ".webp",
+    b"8BPS": ".psd",
 }
-_NOT_READ = {b"GIF8": "GIF", b"BM": "BMP", b"RIFF": "WebP", b"8BPS": "Photoshop"}
+_NOT_READ = {".gif": "GIF", ".bmp": "BMP", ".webp": "WebP", ".psd": "Photoshop"}
 
 
-def format_of(data: bytes, path: Path) -> str:
+def format_of(data: bytes, path: Path, readers: Mapping[str, Reader] = READERS) -> str:
     """The suffix of an image's format, from its first bytes, not from its name.
 
-    If the bytes match no readable format, the file's suffix: for RAW photographs, many
-    of which start like a TIFF, and for broken files.
+    If the bytes match no known format, the file's suffix: for RAW photographs, many of
+    which start like a TIFF, and for broken files.
 
-    **Raises:** `Refused` that names another well-known format.
+    **Raises:** `Refused` that names a well-known format without one of `readers`.
     """
     suffix = path.suffix.lower()
-    for start, format in _STARTS.items():
-        if data.startswith(start) and (format != ".tif" or suffix in READERS):
-            return format
-    kinds = [kind for start, kind in _NOT_READ.items() if data.startswith(start)]
+    format = next((_STARTS[k] for k in _STARTS if data.startswith(k)), "")
     # CR3, a RAW format, starts the same way, so the suffix decides.
-    kinds += ["HEIF or AVIF"] if data[4:8] == b"ftyp" and suffix in READERS else []
-    if kinds:
-        raise Refused(f"is a {kinds[0]} image: convert it to PNG or TIFF")
-    return suffix
+    iso_media = data[4:8] == b"ftyp" and suffix in readers
+    kind = "HEIF or AVIF" if iso_media else _NOT_READ.get(format)
+    if kind and format not in readers:
+        raise Refused(f"is a {kind} image: convert it to PNG or TIFF")
+    return (
+        suffix if not format or suffix not in readers and format == ".tif" else format
+    )
 
 
 # Writing.

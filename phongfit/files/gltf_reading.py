@@ -17,13 +17,11 @@ import base64
 import binascii
 import math
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import NamedTuple
 from urllib.parse import unquote
 
 import numpy as np
-from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from phongfit.files.budget import afford
@@ -42,7 +40,9 @@ from phongfit.files.gltf_records import (
     at,
     unused,
 )
-from phongfit.files.inputs import inside, listed, naming, read_bytes
+from phongfit.files.inputs import Note, inside, listed, naming, read_bytes
+from phongfit.files.mesh_parts import UNNAMED, MeshPart, apart, white
+from phongfit.files.mtl_textures import Shaded
 from phongfit.files.records import validated
 from phongfit.files.strict_json import parse_json
 from phongfit.geometry.normals import triangle_normals
@@ -58,24 +58,8 @@ VISIT = 1000
 """Bytes that a primitive counts for, whatever it holds."""
 
 
-class GltfPart(NamedTuple):
-    """Triangles of one material in the world; `material` is its number in the file.
-
-    `colours` are rows for its vertices, (V, 3), by the parameter that they multiply.
-    """
-
-    vertices: Float[np.ndarray, "vertices 3"]
-    faces: Int[np.ndarray, "faces 3"]
-    normals: Float[np.ndarray, "vertices 3"]
-    material: int | None
-    uv: Float[np.ndarray, "vertices 2"] | None
-    colours: dict[str, np.ndarray]
-
-
-def read_gltf(
-    path: Path, note: Callable[[str], None]
-) -> tuple[list[GltfPart], dict[int, GltfShade]]:
-    """The triangles of a glTF or GLB file, and their materials by number.
+def read_gltf(path: Path, note: Note) -> list[MeshPart]:
+    """The triangles of a glTF or GLB file, a part for each primitive.
 
     **Arguments:** `note`: called with one line that lists the parts that are not used.
 
@@ -95,7 +79,24 @@ def read_gltf(
     parts = list(reader.parts())
     if lost := [*reader.unused, *dict.fromkeys(unused(file))]:
         note(f"not used: {listed(lost)}")
-    return parts, reader.shades
+    names = _unique_names(file, dict.fromkeys(number for number, _ in parts))
+    return [
+        part._replace(name=names[number]) for number, part in parts if len(part.faces)
+    ]
+
+
+def _unique_names(file: File, numbers: Iterable[int | None]) -> dict[int | None, str]:
+    """Names of materials by their numbers; `None` is the default one."""
+    names: dict[int | None, str] = {}
+    times: dict[str, int] = {}
+    for number in sorted(numbers, key=lambda number: number is not None):
+        given = None if number is None else file.materials[number].name
+        name = given = given or UNNAMED
+        while name in names.values():
+            times[given] = times.get(given, 1) + 1
+            name = f"{given}-{times[given]}"
+        names[number] = name
+    return names
 
 
 def _chunks(data: bytes) -> tuple[bytes, bytes | None]:
@@ -129,8 +130,8 @@ class _Reader:
         self._read = 0
         self._made = 0
 
-    def parts(self) -> Iterator[GltfPart]:
-        """Triangles of every node of the scene."""
+    def parts(self) -> Iterator[tuple[int | None, MeshPart]]:
+        """Triangles of every node of the scene, with the numbers of their materials."""
         file = self._file
         if not file.scenes:
             return
@@ -160,9 +161,9 @@ class _Reader:
                     self.unused["points and lines"] = None
                     continue
                 with naming(f"meshes[{node.mesh}].primitives[{k}]"):
-                    yield self._part(primitive, matrix)
+                    yield primitive.material, self._part(primitive, matrix)
 
-    def _part(self, primitive: Primitive, matrix: np.ndarray) -> GltfPart:
+    def _part(self, primitive: Primitive, matrix: np.ndarray) -> MeshPart:
         left = dict(primitive.attributes)
         local = self._attribute(left, "POSITION", "VEC3")
         if local is None:
@@ -192,18 +193,22 @@ class _Reader:
         if turn < 0:
             # A reflection reverses the order of the corners.
             faces = faces[:, ::-1]
-        if normals is not None and not flat:
-            normals = normals @ np.linalg.inv(linear)
-            return GltfPart(place, faces, normals, primitive.material, uv, colours)
+        bare = white() if colours else Shaded()
+        part = MeshPart(
+            place,
+            faces,
+            UNNAMED,
+            bare if shade is None else shade.shaded,
+            None if normals is None or flat else normals @ np.linalg.inv(linear),
+            None if uv is None else uv[faces],
+            colours,
+            np.zeros(count, int),
+        )
         # Without normals faces are flat (section 3.7.2.1).
-        corners = faces.ravel()
-        return GltfPart(
-            place[corners],
-            np.arange(len(corners)).reshape(-1, 3),
-            np.repeat(triangle_normals(place[faces]), 3, axis=0),
-            primitive.material,
-            None if uv is None else uv[corners],
-            {name: rows[corners] for name, rows in colours.items()},
+        if part.normals is not None:
+            return part
+        return apart(part)._replace(
+            normals=np.repeat(triangle_normals(place[faces]), 3, axis=0)
         )
 
     def _shade(self, number: int) -> GltfShade:

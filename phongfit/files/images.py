@@ -1,8 +1,9 @@
 """Images on disk: read as linear light, written in a stated encoding."""
 
-import contextlib
+import functools
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar
 
@@ -17,7 +18,6 @@ from phongfit.files.budget import afford
 from phongfit.files.coded import Coded
 from phongfit.files.formats import (
     JPEG_START,
-    PNG_START,
     READERS,
     TEXTURE_READERS,
     WRITERS,
@@ -104,7 +104,7 @@ def read_opaque(
     *,
     white: int | None = None,
     max_pixels: int | None = None,
-) -> "Light":
+) -> "Photo":
     """Read like [`read_image`][], which describes arguments, errors and warnings."""
     light = read_light(path, encoding, white=white, max_pixels=max_pixels, opaque=True)
     lost = np.count_nonzero(~light.usable)
@@ -118,21 +118,61 @@ def read_opaque(
     return light
 
 
-class Light(NamedTuple):
-    """Linear light of an image, encoded as in its file.
+@dataclass(frozen=True)
+class Photo:
+    """A photograph: upright linear light with the primaries of sRGB.
 
-    - `usable`: true for opaque pixels whose channels are not mixed with saturated ones.
-    - `clamped`: true if the file's format has no numbers above white.
+    - `path`: its file.
+    - `encoding`: of its numbers.
+    - `white`: as in [`read_image`][].
+    - `coded`: light in the file's encoding; white and saturated samples are 1.
+    - `usable`: false where the file's alpha is less than 1, and where a saturated
+        channel was mixed into others in the conversion to sRGB.
+    - `clamped`: true if the format ends at white; false for floating-point images.
+    - `exposure`: as the camera recorded it.
+    - `relative_exposure`: exposure relative to the first photograph of its series; 1
+        for a single one.
     """
 
+    path: Path
+    encoding: Encoding
     coded: Coded
     usable: Bool[np.ndarray, "height width"]
     clamped: bool
+    exposure: Exposure = Exposure()
+    relative_exposure: float = 1.0
+    white: int | None = None
 
     @property
+    def name(self) -> str:
+        """Name of the file."""
+        return self.path.name
+
+    @functools.cached_property
     def image(self) -> Float[np.ndarray, "height width 3"]:
         """The decoded linear light."""
         return self.coded.light
+
+    @property
+    def film(self) -> Film:
+        """The film of the file: see [`read_film`][]."""
+        return read_film(self.path, self.encoding, white=self.white)
+
+    @property
+    def unsaturated(self) -> Bool[np.ndarray, "height width 3"]:
+        """Mask of samples that are neither cut off at white nor mixed with others."""
+        usable = np.broadcast_to(self.usable[..., None], self.image.shape)
+        return usable & (self.image < 1) if self.clamped else usable.copy()
+
+    @property
+    def common_light(self) -> Float[np.ndarray, "height width 3"]:
+        """The image scaled to the exposure of the first photograph of its series.
+
+        White is then 1 / `relative_exposure`: use `unsaturated` to find valid samples.
+        To keep images as they are, multiply the lights of their scenes instead, and the
+        ambient light, by `relative_exposure`.
+        """
+        return self.image / np.asarray(self.relative_exposure, self.image.dtype)
 
 
 def read_light(
@@ -142,7 +182,7 @@ def read_light(
     white: int | None = None,
     max_pixels: int | None = None,
     opaque: bool = False,
-) -> Light:
+) -> Photo:
     """Read an image like [`read_image`][], but return a mask instead of a warning.
 
     The mask is false where a saturated channel was mixed into others, and where alpha
@@ -161,7 +201,7 @@ def read_light(
             f"{path}: expected encoding 'linear', as {read.linear} have, got "
             f"{encoding!r}"
         )
-    with naming(str(path)), refusing():
+    with naming(str(path)):
         profile = find_profile(read.metadata.profile, encoding)
         coded = _coded(values, encoding, profile)
     if values.dtype.kind == "f" and not np.isfinite(coded.numbers).all():
@@ -173,7 +213,8 @@ def read_light(
     grey = numbers.shape[-1] == 1
     numbers = np.repeat(numbers, 3, axis=-1) if grey else np.ascontiguousarray(numbers)
     clamped = values.dtype.kind != "f"
-    return Light(Coded(numbers, coded.table), usable, clamped)
+    coded = Coded(numbers, coded.table)
+    return Photo(path, encoding, coded, usable, clamped, white=white)
 
 
 def _to_white(path: Path, values: np.ndarray, white: int | None) -> np.ndarray:
@@ -233,7 +274,7 @@ def read_film(
     read = _read_numbers(path)
     if read.values.dtype.kind == "f":
         return Film(clamp=False)
-    with naming(str(path)), refusing():
+    with naming(str(path)):
         converted = find_profile(read.metadata.profile, film.encoding) is not None
     if converted or read.linear:
         return film
@@ -441,31 +482,22 @@ def read_texels(data: bytes, path: Path, encoding: NamedEncoding) -> Texels:
     texture determines its encoding.
 
     **Arguments:** `path`: source of the bytes; its suffix determines the format, unless
-    the bytes are PNG or JPEG.
+    the bytes do.
 
     **Raises:** `ValueError` that names `path`.
     """
-    suffix = path.suffix.lower()
-    for start, format in ((PNG_START, ".png"), (b"\xff\xd8", ".jpg")):
-        suffix = format if data.startswith(start) else suffix
-    if suffix not in TEXTURE_READERS:
-        raise ValueError(f"{path}: {_wanted_suffix(path, TEXTURE_READERS)}")
 
-    numbers = _decoding(
-        path, lambda data: TEXTURE_READERS[suffix](data, path, _room(data, None)), data
-    )
-    numbers = numbers[..., None] if numbers.ndim == 2 else numbers
-    if numbers.ndim != 3 or 0 in numbers.shape or numbers.shape[-1] > 4:
-        raise ValueError(f"{path}: expected one image, got shape {numbers.shape}")
-    whole = numbers.dtype in (np.uint8, np.uint16)
-    if not whole and numbers.dtype.kind != "f":
-        raise ValueError(f"{path}: expected uint8, uint16 or floats")
-    alpha = None
+    def decode(data: bytes) -> np.ndarray:
+        format = format_of(data, path, TEXTURE_READERS)
+        if format not in TEXTURE_READERS:
+            raise Refused(_wanted_suffix(path, TEXTURE_READERS))
+        return _one_image(TEXTURE_READERS[format](data, path, _room(data, None)))
+
+    numbers, alpha = _decoded(path, decode, data), None
     if numbers.shape[-1] in (2, 4):
-        highest = np.iinfo(numbers.dtype).max if whole else 1
-        alpha = (numbers[..., -1:] / highest).astype(_float_type())
+        alpha = (numbers[..., -1:] / _highest(numbers)).astype(_float_type())
         numbers = numbers[..., :-1]
-    values = from_levels(numbers, encoding) if whole else numbers.astype(_float_type())
+    values = _coded(numbers, encoding, None).light
     if not np.isfinite(values).all():
         raise ValueError(f"{path}: has NaN or infinite pixels")
     return Texels(values, alpha)
@@ -549,19 +581,12 @@ def _read_numbers(path: Path, max_pixels: int | None = None) -> _Numbers:
         if format in RAW:
             raw = read_raw(data, path, room)
             return _Numbers(raw.numbers, raw.usable, Metadata(), "RAW photographs")
-        values = READERS[format](data, path, room)
-        values = values[..., None] if values.ndim == 2 else values
+        values = _one_image(READERS[format](data, path, room))
         usable = np.ones(values.shape[:2], bool)
         return _Numbers(values, usable, read_metadata(data, path), "")
 
     read = _decoded(path, decode)
     values, metadata = read.values, read.metadata
-    if values.ndim != 3 or 0 in values.shape:
-        raise ValueError(f"{path}: expected one image, got shape {values.shape}")
-    if values.dtype not in (np.uint8, np.uint16) and values.dtype.kind != "f":
-        raise ValueError(
-            f"{path}: expected samples of uint8, uint16 or floats, got {values.dtype}"
-        )
     if metadata.broken:
         warn(
             "exif-broken",
@@ -576,6 +601,27 @@ def _read_numbers(path: Path, max_pixels: int | None = None) -> _Numbers:
     return read._replace(
         values=metadata.upright(values), usable=metadata.upright(read.usable)
     )
+
+
+def _one_image(numbers: np.ndarray) -> np.ndarray:
+    """Numbers of a decoded file as (H, W, channels).
+
+    **Raises:** `Refused` for other shapes and types.
+    """
+    numbers = numbers[..., None] if numbers.ndim == 2 else numbers
+    if numbers.ndim != 3 or 0 in numbers.shape:
+        raise Refused(f"expected one image, got shape {numbers.shape}")
+    if numbers.shape[-1] > 4:
+        got = numbers.shape[-1]
+        raise Refused(f"expected 1 or 3 channels, or these and alpha, got {got}")
+    if numbers.dtype not in (np.uint8, np.uint16) and numbers.dtype.kind != "f":
+        raise Refused(f"expected uint8, uint16 or floats, got {numbers.dtype}")
+    return numbers
+
+
+def _highest(numbers: np.ndarray) -> int:
+    """The number that is white in a file's format."""
+    return 1 if numbers.dtype.kind == "f" else np.iinfo(numbers.dtype).max
 
 
 def _check_suffix(path: Path) -> None:
@@ -605,12 +651,9 @@ def _room(data: bytes, max_pixels: int | None) -> Room:
     return ask
 
 
-def _decoded(path: Path, decode: Callable[[bytes], T]) -> T:
-    """Decode a file's bytes; errors name the file."""
-    return _decoding(path, decode, read_bytes(path))
-
-
-def _decoding(path: Path, decode: Callable[[bytes], T], data: bytes) -> T:
+def _decoded(path: Path, decode: Callable[[bytes], T], data: bytes | None = None) -> T:
+    """Decode a file's bytes, `data` if they are known; errors name the file."""
+    data = read_bytes(path) if data is None else data
     try:
         return decode(data)
     except Refused as error:
@@ -624,15 +667,6 @@ def _decoding(path: Path, decode: Callable[[bytes], T], data: bytes) -> T:
         ) from error
 
 
-@contextlib.contextmanager
-def refusing() -> Iterator[None]:
-    """Convert `Refused` to `ValueError`."""
-    try:
-        yield
-    except Refused as error:
-        raise ValueError(str(error)) from None
-
-
 def _without_alpha(
     path: Path, numbers: np.ndarray, remedy: str | None
 ) -> tuple[np.ndarray, Bool[np.ndarray, "height width"]]:
@@ -643,15 +677,9 @@ def _without_alpha(
 
     **Raises:** `ValueError` that names the file.
     """
-    channels = numbers.shape[-1]
-    if channels not in (1, 2, 3, 4):
-        raise ValueError(
-            f"{path}: expected 1 or 3 channels, or these and alpha, got {channels}"
-        )
-    if channels in (1, 3):
+    if numbers.shape[-1] in (1, 3):
         return numbers, np.ones(numbers.shape[:2], bool)
-    highest = 1 if numbers.dtype.kind == "f" else np.iinfo(numbers.dtype).max
-    solid = numbers[..., -1] >= highest
+    solid = numbers[..., -1] >= _highest(numbers)
     if solid.all():
         return numbers[..., :-1], solid
     if remedy is not None:

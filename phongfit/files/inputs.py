@@ -20,6 +20,9 @@ Note = Callable[[str], None]
 LISTED = 20
 """Maximum number of unused parts that a warning names; others are counted."""
 
+DEEPEST = 64
+"""Maximum number of parts at the end of a file's name that are tried."""
+
 _checksums: contextvars.ContextVar[dict[Path, str] | None]
 _checksums = contextvars.ContextVar("checksums", default=None)
 
@@ -187,16 +190,17 @@ def beside(folder: Path, name: str) -> Path | None:
     """The file in `folder`, or below it, for a name that another computer wrote.
 
     The name may have quotes, backslashes, and letters of the other case. If its folders
-    do not exist here, only its last part is used.
+    do not exist here, the longest end of it that exists is used.
 
     **Returns:** `None` if there is no such file.
     """
-    name = name.strip(" \t\"'").replace("\\", "/")
-    for given in (name, name.rpartition("/")[2]):
+    parts = name.strip(" \t\"'").replace("\\", "/").split("/")
+    parts = [part for part in parts if part not in ("", ".", "..")][-DEEPEST:]
+    for start in range(len(parts)):
         for find in (inside, _in_any_case):
             # Invalid names, such as too long ones, raise these.
             with contextlib.suppress(ValueError, OSError):
-                path = find(folder, given)
+                path = find(folder, "/".join(parts[start:]))
                 if path.is_file():
                     return path
     return None
@@ -204,11 +208,8 @@ def beside(folder: Path, name: str) -> Path | None:
 
 def _in_any_case(folder: Path, name: str) -> Path:
     """The path of [`inside`][], ignoring the case of letters in `name`."""
-    found, parts = folder, PurePosixPath(name).parts
-    if name.startswith("/") or ".." in parts:
-        # Let `inside` refuse the name: no folder outside may be listed.
-        return inside(folder, name)
-    for part in parts:
+    found = folder
+    for part in name.split("/"):
         same = (k for k in sorted(os.listdir(found)) if k.lower() == part.lower())
         found = found / next(same, part)
     return inside(folder, str(found.relative_to(folder)))

@@ -80,14 +80,18 @@ def with_colours(part: MeshPart, colours: dict[str, np.ndarray]) -> MeshPart:
 
 def with_face_colours(part: MeshPart, colours: dict[str, np.ndarray]) -> MeshPart:
     """A part with a colour for each triangle, whose corners become vertices."""
-    if not colours:
-        return part
-    colours = {name: np.repeat(rows, 3, axis=0) for name, rows in colours.items()}
+    each = {name: np.repeat(rows, 3, axis=0) for name, rows in colours.items()}
+    return with_colours(apart(part), each) if colours else part
+
+
+def apart(part: MeshPart) -> MeshPart:
+    """A part in which each corner of a triangle is a vertex."""
     corners = part.faces.ravel()
-    return with_colours(part, colours)._replace(
+    return part._replace(
         vertices=part.vertices[corners],
         faces=np.arange(len(corners)).reshape(-1, 3),
         normals=None if part.normals is None else part.normals[corners],
+        colours={name: rows[corners] for name, rows in part.colours.items()},
         groups=np.zeros(len(corners), int),
     )
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from phongfit.edge import checked
 from phongfit.files.formats import encode_png
@@ -26,16 +27,18 @@ from phongfit.files.gltf import (
 from phongfit.files.gltf_records import COLOURS as ATTRIBUTES
 from phongfit.files.images import to_levels
 from phongfit.files.limits import exponent, limited, lost
-from phongfit.files.mesh_writing import lines, write_ply, write_stl
 from phongfit.files.mtl import COLOURS, mtl_block
-from phongfit.files.outputs import replacing_files
-from phongfit.files.usd import SUFFIXES, write_usd
+from phongfit.files.outputs import replacing
+from phongfit.files.usd import COLOUR, SUFFIXES, write_usd
 from phongfit.geometry.meshes import Mesh
 from phongfit.material import Material, unstack_materials
-from phongfit.rendering.film import NamedEncoding, encode
+from phongfit.rendering.film import encode
 from phongfit.textures import AbstractTexture, Texture, Textures, VertexColours
 
-BITS = 16
+FORMATS = {
+    **{".obj": "obj", ".ply": "ply", ".stl": "stl", ".glb": "gltf", ".gltf": "gltf"},
+    **dict.fromkeys(SUFFIXES, "usd"),
+}
 
 MTL_MAPS = {leaf: f"map_{key}" for key, leaf in COLOURS.items()} | {
     "shininess": "map_Ns",
@@ -44,12 +47,36 @@ MTL_MAPS = {leaf: f"map_{key}" for key, leaf in COLOURS.items()} | {
 
 
 class _Own(NamedTuple):
-    """One material of a mesh, with its faces."""
+    """One material of a mesh, with its faces.
+
+    - `bits`: of pictures of its textures.
+    - `opacity`: of the texels of ρ_d; `None` if all are opaque.
+    """
 
     name: str
     material: Material
     textures: Textures
     faces: np.ndarray
+    bits: int = 16
+    opacity: np.ndarray | None = None
+
+    def png(self, name: str, values: Any = None) -> bytes:
+        """A picture of a texture.
+
+        **Arguments:** `values`: from 0 to 1; default those of the texture, scaled.
+        """
+        if values is None:
+            texture = getattr(self.textures, name)
+            values = _scaled(texture).values
+            if name == "normal":
+                values = (np.asarray(texture.values, float) + 1) / 2
+        encoding = "linear" if name in ("normal", "shininess") else "srgb"
+        colours = np.broadcast_to(values, (*values.shape[:2], 3))
+        levels = to_levels(colours, encoding, self.bits)
+        if self.opacity is not None and name == "diffuse":
+            opacity = to_levels(self.opacity, "linear", self.bits)
+            levels = np.concatenate([levels, opacity], axis=-1)
+        return encode_png(levels)
 
 
 @checked
@@ -90,21 +117,47 @@ def save_mesh(
     """
     path = Path(path)
     suffix = path.suffix.lower()
-    if suffix not in (".obj", ".glb", ".gltf", ".ply", ".stl", *SUFFIXES):
+    if suffix not in FORMATS:
         raise ValueError(
             f"{path}: expected .obj, .glb, .gltf, .ply, .stl or .usda, got {suffix!r}"
         )
-    own = _apart(mesh, material, names)
-    if suffix == ".obj":
-        _write_obj(path, mesh, own, nearest)
-    elif suffix == ".ply":
-        _write_ply(path, mesh, own, nearest)
-    elif suffix == ".stl":
+    if suffix == ".stl":
         lost("material: STL has triangles alone", nearest)
-        write_stl(path, Part(np.asarray(mesh.vertices), np.asarray(mesh.faces)))
+    write_mesh(path, FORMATS[suffix], mesh, material, names, nearest=nearest)
+
+
+def write_mesh(
+    path: Path,
+    to: str,
+    mesh: Mesh,
+    material: Material,
+    names: Sequence[str] | None = None,
+    *,
+    nearest: bool,
+    bits: int = 16,
+    opacity: Float[np.ndarray, "rows columns 1"] | None = None,
+) -> None:
+    """Write a mesh as [`save_mesh`][] does, in a format that is independent of `path`.
+
+    **Arguments:**
+
+    - `to`: `"obj"`, `"ply"`, `"stl"`, `"gltf"` or `"usd"`.
+    - `bits`: of the textures.
+    - `opacity`: for glTF, of the texels of ρ_d: 0 where a viewer shows nothing.
+    """
+    own = [
+        one._replace(bits=bits, opacity=opacity)
+        for one in _apart(mesh, material, names)
+    ]
+    if to == "obj":
+        _write_obj(path, mesh, own, nearest)
+    elif to == "ply":
+        _write_ply(path, mesh, own, nearest)
+    elif to == "stl":
+        _write_triangles(path, "stl", mesh.vertices, mesh.faces)
     else:
         parts = [(_part(mesh, one), _gltf_material(one, nearest)) for one in own]
-        if suffix in SUFFIXES:
+        if to == "usd":
             write_usd(path, parts, nearest=nearest)
         else:
             write_gltf(path, parts)
@@ -138,11 +191,6 @@ def _scaled(texture: AbstractTexture) -> _Scaled:
     values = np.asarray(texture.values, float)
     factor = max(float(values.max()), 1e-12)
     return _Scaled(values / factor, factor)
-
-
-def _png(values: np.ndarray, encoding: NamedEncoding) -> bytes:
-    colours = np.broadcast_to(values, (*values.shape[:2], 3))
-    return encode_png(to_levels(colours, encoding, BITS))
 
 
 def _multiplied(own: _Own, names: Iterable[str]) -> Material:
@@ -191,94 +239,90 @@ def _rows(colours: VertexColours) -> np.ndarray:
 
 
 def _write_obj(path: Path, mesh: Mesh, own: list[_Own], nearest: bool) -> None:
+    _check_name(path)
+    own = [_flattened(one, nearest) for one in own]
+    with replacing(path) as temporary:
+        _write_library(temporary.with_suffix(".mtl"), own, nearest)
+        text = _obj_text(mesh, own, f"{path.stem}.mtl")
+        temporary.write_text(text, encoding="utf-8")
+
+
+def write_textured_mtl(
+    path: Path, name: str, material: Material, textures: Textures, *, nearest: bool
+) -> None:
+    """Write an `.mtl` of one material, with textures of 8 bits beside it.
+
+    **Raises:** `ValueError` that names the parameter, `OSError` that names `path`.
+    """
+    _check_name(path)
+    own = _Own(name, material, textures, np.zeros(0, int), bits=8)
+    with replacing(path) as temporary:
+        _write_library(temporary, [own], nearest)
+
+
+def _check_name(path: Path) -> None:
     if any(blank in path.stem for blank in " \t#"):
         raise ValueError(f"{path}: expected a name without blanks, for the textures")
-    library, pictures = [], {}
-    own = [_flattened(one, nearest) for one in own]
-    for one in own:
+
+
+def _write_library(path: Path, own: list[_Own], nearest: bool) -> None:
+    """Write an `.mtl`, and the textures of its materials beside it."""
+    text = ["# Textures multiply the numbers; those of colours are sRGB-encoded."]
+    for number, one in enumerate(own):
         names = [n for n in MTL_MAPS if getattr(one.textures, n) is not None]
         material = _multiplied(one, [name for name in names if name != "normal"])
-        block = [mtl_block(one.name, material, nearest).rstrip("\n")]
+        text.append(mtl_block(one.name, material, nearest).rstrip("\n"))
         for name in names:
             texture = getattr(one.textures, name)
             if not isinstance(texture, Texture):
                 continue
-            file = f"{path.stem}_{len(pictures)}.png"
-            if name == "normal":
-                values = (np.asarray(texture.values, float) + 1) / 2
-                pictures[file] = _png(values, "linear")
-            else:
-                linear = name == "shininess"
-                values = _scaled(texture).values
-                pictures[file] = _png(values, "linear" if linear else "srgb")
+            key = MTL_MAPS[name].removeprefix("map_")
+            file = f"{path.stem}{f'_{number}' * (len(own) > 1)}_{key}.png"
+            (path.parent / file).write_bytes(one.png(name))
             clamp = "-clamp on " if texture.wrap == "clamp" else ""
-            block.append(f"{MTL_MAPS[name]} {clamp}{file}")
-        library.append("\n".join([*block, ""]))
-    with replacing_files(path) as folder:
-        for file, content in pictures.items():
-            (folder / file).write_bytes(content)
-        (folder / f"{path.stem}.mtl").write_text("\n".join(library), encoding="utf-8")
-        text = _obj_text(mesh, own, f"{path.stem}.mtl")
-        (folder / path.name).write_text(text, encoding="utf-8")
+            text.append(f"{MTL_MAPS[name]} {clamp}{file}")
+        text.append("")
+    path.write_text("\n".join(text), encoding="utf-8")
 
 
 def _obj_text(mesh: Mesh, own: list[_Own], library: str) -> str:
     text = [f"mtllib {library}"]
     points, normals = np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals())
     faces = np.asarray(mesh.faces)
+    corners = [faces, faces]
     if any("diffuse" in one.textures.at_vertices for one in own):
         # A vertex has one colour, so each material gets separate vertices.
-        apart = _apart_by_material(len(points), faces, own)
-        points, normals = points[apart.vertex], normals[apart.vertex]
-        faces = apart.faces
-        coloured = np.column_stack([points, encode(apart.colours, "srgb")])
-        text += lines(" ".join(["v", *["%.9g"] * 6]), coloured)
-    else:
-        text += lines("v %.9g %.9g %.9g", points)
-    text += lines("vn %.9g %.9g %.9g", normals)
-    faces = faces + 1
-    form = "f " + " ".join(["%d//%d"] * 3)
-    corners = np.repeat(faces, 2, axis=1)
+        whole = _coloured(mesh, own, [1] * len(own))
+        colours = encode(whole.colours[COLOUR], "srgb")
+        points, normals = np.column_stack([whole.positions, colours]), whole.normals
+        corners = [whole.faces, whole.faces]
+    text += _lines(" ".join(["v", *["%.9g"] * points.shape[1]]), points)
+    text += _lines("vn %.9g %.9g %.9g", normals)
     if mesh.uv is not None:
+        uv, places = _indexed_uv(mesh)
         # In OBJ v points up.
-        places = np.asarray(mesh.uv, float).reshape(-1, 2) * [1, -1] + [0, 1]
-        text += lines("vt %.9g %.9g", places)
-        form = "f " + " ".join(["%d/%d/%d"] * 3)
-        number = np.arange(faces.size).reshape(-1, 3) + 1
-        corners = np.stack([faces, number, faces], axis=-1).reshape(-1, 9)
+        text += _lines("vt %.9g %.9g", uv * [1, -1] + [0, 1])
+        corners.insert(1, places)
+    form = "f " + " ".join([("%d//%d", "%d/%d/%d")[len(corners) - 2]] * 3)
+    rows = np.stack(corners, axis=-1).reshape(len(faces), -1) + 1
     for one in own:
-        text += [f"usemtl {one.name}", *lines(form, corners[one.faces])]
+        text += [f"usemtl {one.name}", *_lines(form, rows[one.faces])]
     return "\n".join([*text, ""])
 
 
-class _OneEach(NamedTuple):
-    """Vertices that each belong to one material.
-
-    - `vertex`: index of each in the mesh; `material`: index of its material.
-    - `faces`: indices into these vertices.
-    - `colours`: at most 1.
-    """
-
-    vertex: np.ndarray
-    material: np.ndarray
-    faces: np.ndarray
-    colours: np.ndarray
+def _lines(form: str, rows: Any) -> list[str]:
+    """Rows of numbers as lines of text, by a % format."""
+    return [form % tuple(row) for row in np.asarray(rows).tolist()]
 
 
-def _apart_by_material(count: int, faces: np.ndarray, own: list[_Own]) -> _OneEach:
-    of_face = np.zeros(len(faces), int)
-    for k, one in enumerate(own):
-        of_face[one.faces] = k
-    keys = of_face[:, None] * count + faces
-    used, places = np.unique(keys, return_inverse=True)
-    material, vertex = used // count, used % count
-    colours = np.ones((len(used), 3))
-    for k, one in enumerate(own):
-        rows = one.textures.at_vertices.get("diffuse")
-        if rows is not None:
-            here = material == k
-            colours[here] = _rows(rows)[vertex[here]]
-    return _OneEach(vertex, material, places.reshape(faces.shape), colours)
+def _indexed_uv(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of uv, and the row of each corner: of its vertex if this has only one uv."""
+    faces, uv = np.asarray(mesh.faces), np.asarray(mesh.uv, float)
+    rows = np.zeros((len(mesh.vertices), 2))
+    rows[faces] = uv
+    if np.array_equal(rows[faces], uv):
+        return rows, faces
+    return uv.reshape(-1, 2), np.arange(faces.size).reshape(faces.shape)
 
 
 def _write_ply(path: Path, mesh: Mesh, own: list[_Own], nearest: bool) -> None:
@@ -298,22 +342,57 @@ def _write_ply(path: Path, mesh: Mesh, own: list[_Own], nearest: bool) -> None:
             if isinstance(texture, Texture):
                 lost(f"{name}: PLY has no place for a texture", nearest)
         diffuse.append(limited("diffuse", leaves["diffuse"], 1, "PLY", nearest))
-    points, normals = np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals())
-    apart = _apart_by_material(len(points), np.asarray(mesh.faces), own)
-    factor = np.stack([np.broadcast_to(one, 3) for one in diffuse])[apart.material]
-    levels = to_levels(apart.colours * factor, "srgb", 8)
-    part = Part(points[apart.vertex], apart.faces, normals[apart.vertex])
-    write_ply(path, part, levels)
+    whole = _coloured(mesh, own, diffuse)
+    levels = to_levels(whole.colours[COLOUR], "srgb", 8)
+    more = {"vertex_normals": whole.normals, "vertex_colors": levels}
+    _write_triangles(path, "ply", whole.positions, whole.faces, **more)
 
 
-def _part(mesh: Mesh, own: _Own) -> Part:
+def _write_triangles(
+    path: Path, kind: str, vertices: Any, faces: Any, **more: Any
+) -> None:
+    """Write a binary `.ply` or `.stl`."""
+    # Imported here, since trimesh takes long to import.
+    import trimesh
+
+    vertices, faces = np.asarray(vertices, float), np.asarray(faces)
+    mesh = trimesh.Trimesh(vertices, faces, process=False, **more)
+    options: dict[str, Any] = {"vertex_normal": True} if kind == "ply" else {}
+    content: Any = mesh.export(file_type=kind, **options)
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def _coloured(mesh: Mesh, own: list[_Own], factors: Iterable[Any]) -> Part:
+    """All faces, with vertices of their own for each material: a vertex has one colour.
+
+    **Arguments:** `factors`: of the colours of each material's vertices.
+    """
+    parts = [_part(mesh, one, with_uv=False) for one in own]
+    starts = np.cumsum([0] + [len(part.positions) for part in parts])
+    faces = np.zeros(mesh.faces.shape, int)
+    colours = []
+    for one, part, start, factor in zip(own, parts, starts, factors, strict=False):
+        faces[one.faces] = part.faces + start
+        own_colours = part.colours.get(COLOUR, np.ones_like(part.positions))
+        colours.append(factor * own_colours)
+    positions = np.concatenate([part.positions for part in parts])
+    normals = np.concatenate([np.asarray(part.normals) for part in parts])
+    return Part(positions, faces, normals, None, {COLOUR: np.concatenate(colours)})
+
+
+def _part(mesh: Mesh, own: _Own, with_uv: bool = True) -> Part:
     """One material's faces, with vertices repeated for each of their uv."""
-    vertex = np.asarray(mesh.faces)[own.faces].ravel()
-    keys, uv = vertex[:, None], None
-    if mesh.uv is not None:
-        uv = np.asarray(mesh.uv, float)[own.faces].reshape(-1, 2)
-        keys = np.column_stack([vertex, uv])
-    _, first, faces = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    place = vertex = np.asarray(mesh.faces)[own.faces].ravel()
+    uv = None
+    if mesh.uv is not None and with_uv:
+        rows, places = _indexed_uv(mesh)
+        place = places[own.faces].ravel()
+        uv = rows[place]
+        if len(rows) != len(mesh.vertices):
+            pairs = np.column_stack([vertex, uv])
+            place = np.unique(pairs, axis=0, return_inverse=True)[1].ravel()
+    _, first, faces = np.unique(place, return_index=True, return_inverse=True)
     at, used = own.textures.at_vertices, vertex[first]
     return Part(
         np.asarray(mesh.vertices, float)[used],
@@ -330,60 +409,47 @@ def _part(mesh: Mesh, own: _Own) -> Part:
 
 def _gltf_material(own: _Own, nearest: bool) -> dict[str, Any]:
     at = own.textures.at_vertices
-    material = _multiplied(
-        own, dict.fromkeys(("diffuse", "emission", "shininess", *at))
-    )
+    scaled = dict.fromkeys(("diffuse", "emission", "shininess", *at))
+    material = _multiplied(own, scaled)
     textures = dataclasses.replace(own.textures, **dict.fromkeys(at))
     own = own._replace(textures=textures)
     made = pbr_material(own.name, material, nearest)
     pbr = made["pbrMetallicRoughness"]
 
-    def picture(of: Any, values: np.ndarray, encoding: NamedEncoding) -> Picture:
-        return Picture(
-            _png(values, encoding), of.filter == "nearest", of.wrap == "repeat"
-        )
+    def picture(name: str, values: Any = None) -> Picture:
+        of = getattr(textures, name)
+        png = own.png(name, values)
+        return Picture(png, of.filter == "nearest", of.wrap == "repeat")
 
     if textures.diffuse is not None:
-        values = _scaled(textures.diffuse).values
-        pbr["baseColorTexture"] = picture(textures.diffuse, values, "srgb")
+        pbr["baseColorTexture"] = picture("diffuse")
+        made |= {} if own.opacity is None else {"alphaMode": "MASK"}
     if textures.emission is not None:
-        values = _scaled(textures.emission).values
-        made["emissiveTexture"] = picture(textures.emission, values, "srgb")
+        made["emissiveTexture"] = picture("emission")
     if textures.normal is not None:
-        values = (np.asarray(textures.normal.values, float) + 1) / 2
-        made["normalTexture"] = picture(textures.normal, values, "linear")
+        made["normalTexture"] = picture("normal")
     if textures.ambient is not None and textures.ambient is not textures.diffuse:
         lost("ambient: glTF has no texture of it", nearest)
     f: Any = exponent(material, np.inf, "glTF", nearest)
     if textures.shininess is not None:
         f = f * _scaled(textures.shininess).values
-        # Roughness is green; red is unused; blue is metallic, with factor 0.
-        values = np.repeat(roughness(f), 3, axis=-1)
-        pbr |= {"roughnessFactor": 1.0}
-        pbr["metallicRoughnessTexture"] = picture(textures.shininess, values, "linear")
+        # Roughness is green; red is unused; blue is metallic.
+        pbr["metallicRoughnessTexture"] = picture("shininess", roughness(f) * [0, 1, 0])
+        pbr["roughnessFactor"] = 1.0
         if textures.specular is None:
             # glTF's specular colour depends on f, so it varies with the exponent.
             same = textures.shininess.of_ones()
             textures = dataclasses.replace(textures, specular=same)
     if textures.specular is not None:
-        _tint(made, own._replace(textures=textures), f, picture, nearest)
+        values = np.asarray(textures.specular.values, float)
+        values = values * np.asarray(own.material.specular, float)
+        if np.ndim(f) and f.shape[:2] != values.shape[:2]:
+            lost("specular: glTF needs its texture as large as the exponent's", nearest)
+            f = np.exp(np.log(np.maximum(f, 1e-6)).mean())
+        tint = specular_colour(values * np.ones(3), f)
+        factor = np.maximum(tint.reshape(-1, 3).max(axis=0), 1e-12)
+        made["extensions"]["KHR_materials_specular"] = {
+            "specularColorFactor": factor,
+            "specularColorTexture": picture("specular", tint / factor),
+        }
     return made
-
-
-def _tint(made: dict[str, Any], own: _Own, f: Any, picture: Any, nearest: bool) -> None:
-    """Set the texture of the specular colour, and its factor."""
-    texture = own.textures.specular
-    assert texture is not None
-    values = np.asarray(texture.values, float) * np.asarray(
-        own.material.specular, float
-    )
-    if np.ndim(f) and f.shape[:2] != values.shape[:2]:
-        lost("specular: glTF needs its texture as large as the exponent's", nearest)
-        f = np.exp(np.log(np.maximum(f, 1e-6)).mean())
-    values = np.broadcast_to(values, (*values.shape[:2], 3))
-    tint = specular_colour(values, f)
-    factor = np.maximum(tint.reshape(-1, 3).max(axis=0), 1e-12)
-    made["extensions"]["KHR_materials_specular"] = {
-        "specularColorFactor": factor,
-        "specularColorTexture": picture(texture, tint / factor, "srgb"),
-    }

@@ -8,21 +8,11 @@ import os
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from phongfit.codes import warn
 from phongfit.edge import checked
-from phongfit.files.gltf_materials import GltfShade
-from phongfit.files.gltf_reading import GltfPart, read_gltf
+from phongfit.files.gltf_reading import read_gltf
 from phongfit.files.inputs import Note, naming
-from phongfit.files.mesh_parts import (
-    UNNAMED,
-    LoadedMesh,
-    MeshPart,
-    join_parts,
-    white,
-)
-from phongfit.files.mtl_textures import Shaded
+from phongfit.files.mesh_parts import LoadedMesh, join_parts
 from phongfit.files.obj import read_obj
 from phongfit.files.off import read_off
 from phongfit.files.ply import read_ply
@@ -98,48 +88,11 @@ def _load(path: Path, options: dict[str, Any], note: Note) -> LoadedMesh:
         return join_parts(parts, options)
 
 
-def _read_gltf(path: Path, note: Note) -> list[MeshPart]:
-    return _named(*read_gltf(path, note))
-
-
 READERS = {
-    ".gltf": _read_gltf,
-    ".glb": _read_gltf,
+    ".gltf": read_gltf,
+    ".glb": read_gltf,
     ".ply": read_ply,
     ".stl": read_stl,
     ".off": read_off,
 }
 FORMATS = (".obj", *READERS)
-
-
-def _named(parts: list[GltfPart], shades: dict[int, GltfShade]) -> list[MeshPart]:
-    """Parts of a glTF file, with a unique name for each material."""
-    names: dict[int | None, str] = {None: UNNAMED}
-    taken = {UNNAMED} if any(part.material is None for part in parts) else set()
-    times: dict[str, int] = {}
-    for number in dict.fromkeys(part.material for part in parts):
-        if number is None:
-            continue
-        name = given = shades[number].name or UNNAMED
-        while name in taken:
-            times[given] = times.get(given, 1) + 1
-            name = f"{given}-{times[given]}"
-        names[number] = name
-        taken.add(name)
-    bare = Shaded(), white()
-    return [
-        MeshPart(
-            part.vertices,
-            part.faces,
-            names[part.material],
-            bare[bool(part.colours)]
-            if part.material is None
-            else shades[part.material].shaded,
-            part.normals,
-            None if part.uv is None else part.uv[part.faces],
-            part.colours,
-            np.zeros(len(part.vertices), int),
-        )
-        for part in parts
-        if len(part.faces)
-    ]

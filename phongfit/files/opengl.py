@@ -1,46 +1,35 @@
-"""Convert materials, lights and fog to parameters of OpenGL 1.x and back.
-
-Parameters of the fixed-function pipeline are dicts from OpenGL's names to numbers, for
-`glMaterialfv`, `glLightfv` and `glFogfv`. OpenGL itself is not needed here.
+"""A material for the fixed-function OpenGL: its parameters, and as lines of C.
 
 ??? cite "Source"
     Segal and Akeley, *The OpenGL graphics system, version 1.5*, section 2.14.
 """
 
-from collections.abc import Mapping
+import os
+import re
 from typing import Any
 
 import numpy as np
-from jaxtyping import Array, Float
 
-from phongfit.environment import Fog, FogMode
-from phongfit.files.limits import colour, exponent, limited
-from phongfit.lights import AbstractLight, DirectionalLight, PointLight, SpotLight
+from phongfit.files.limits import colour, exponent
+from phongfit.files.outputs import replacing
 from phongfit.material import Material
 
 Parameters = dict[str, Any]
+"""Numbers by OpenGL's names."""
 
 MAX_SHININESS = 128.0
-MAX_SPOT_EXPONENT = 128.0
 FORMAT = "OpenGL"
+HEAD = """/* {name}: a material of the Blinn-Phong model, by phongfit.
 
-FOG_MODES: dict[FogMode, str] = {
-    "linear": "GL_LINEAR",
-    "exp": "GL_EXP",
-    "exp2": "GL_EXP2",
-}
+   Colours are linear light. The scene's ambient light is GL_LIGHT_MODEL_AMBIENT. */
+
+#include <GL/gl.h>
+"""
 
 
 def rgba(rgb: Any) -> list[float]:
     """A colour with alpha 1, as plain numbers."""
     return [*(float(channel) for channel in np.asarray(rgb)), 1.0]
-
-
-def check_names(record: str, parameters: Mapping[str, Any], known: set[str]) -> None:
-    """Check that all names are known. **Raises:** `ValueError` for an unknown one."""
-    for name in parameters:
-        if name not in known:
-            raise ValueError(f"{record}: it has no {name}; known: {sorted(known)}")
 
 
 def material_to_opengl(material: Material, *, nearest: bool = False) -> Parameters:
@@ -68,176 +57,48 @@ def material_to_opengl(material: Material, *, nearest: bool = False) -> Paramete
     }
 
 
-def material_from_opengl(parameters: Mapping[str, Any]) -> Material:
-    """A material from OpenGL's parameters; missing ones have OpenGL's defaults.
+def opengl_lines(name: str, material: Material, *, nearest: bool = False) -> str:
+    """The text of a C function that sets the current material.
 
-    The inverse of [`material_to_opengl`][]. Alpha is dropped.
+    **Arguments:** `nearest`: as in [`material_to_opengl`][].
 
-    **Raises:** `ValueError` for a name that materials do not have.
+    **Raises:** `ValueError` that names the parameter, unless `nearest`.
     """
-    both = parameters.get("GL_AMBIENT_AND_DIFFUSE")
-    defaults = {
-        "GL_AMBIENT": (0.2, 0.2, 0.2) if both is None else both,
-        "GL_DIFFUSE": (0.8, 0.8, 0.8) if both is None else both,
-        "GL_SPECULAR": (0.0, 0.0, 0.0),
-        "GL_EMISSION": (0.0, 0.0, 0.0),
-        "GL_SHININESS": 0.0,
-    }
-    check_names("material", parameters, {*defaults, "GL_AMBIENT_AND_DIFFUSE"})
-    values = defaults | dict(parameters)
-    return Material(
-        diffuse=values["GL_DIFFUSE"][:3],
-        specular=values["GL_SPECULAR"][:3],
-        shininess=values["GL_SHININESS"],
-        ambient=values["GL_AMBIENT"][:3],
-        emission=values["GL_EMISSION"][:3],
-    )
+    parameters: Parameters = material_to_opengl(material, nearest=nearest)
+    # The name must not end the comment early, and must be a valid identifier.
+    word = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "material"
+    lines = [HEAD.format(name=word), f"static void set_material_{word}(void)", "{"]
+    colours = {key: value for key, value in parameters.items() if key != "GL_SHININESS"}
+    for key, value in colours.items():
+        variable = key.removeprefix("GL_").lower()
+        numbers = ", ".join(_c_float(number) for number in value)
+        lines.append(f"    static const GLfloat {variable}[4] = {{{numbers}}};")
+    lines.append("")
+    for key in colours:
+        variable = key.removeprefix("GL_").lower()
+        lines.append(f"    glMaterialfv(GL_FRONT_AND_BACK, {key}, {variable});")
+    shininess = _c_float(parameters["GL_SHININESS"])
+    lines.append(f"    glMaterialf(GL_FRONT_AND_BACK, GL_SHININESS, {shininess});")
+    return "\n".join([*lines, "}", ""])
 
 
-def light_to_opengl(light: AbstractLight, *, nearest: bool = False) -> Parameters:
-    """A light as the arguments of `glLightfv` and `glLightf`.
+def _c_float(number: float) -> str:
+    # The fewest digits that round to the same GLfloat.
+    text = str(np.float32(number))
+    return f"{text}f" if re.search("[.e]", text) else f"{text}.0f"
 
-    Position and direction are in world space: set them while the modelview matrix holds
-    only the camera's transformation.
 
-    **Arguments:**
+def write_opengl(
+    path: str | os.PathLike[str],
+    name: str,
+    material: Material,
+    *,
+    nearest: bool = False,
+) -> None:
+    """Write the C function of [`opengl_lines`][] to a file, whole or not at all.
 
-    - `light`: a directional, point or spot light.
-    - `nearest`: as in [`material_to_opengl`][]; here for a spot's exponent above 128.
-
-    **Returns:** GL_AMBIENT, GL_DIFFUSE, GL_SPECULAR, GL_POSITION (w = 0 for a
-    direction); for point and spot lights also the three attenuations; for spot lights
-    also GL_SPOT_DIRECTION, GL_SPOT_EXPONENT and GL_SPOT_CUTOFF.
-
-    **Raises:** `ValueError` that names the argument.
+    **Raises:** `ValueError` as [`opengl_lines`][] does, `OSError` that names the file.
     """
-    if not isinstance(light, DirectionalLight | PointLight | SpotLight):
-        raise ValueError(f"light: OpenGL has no {type(light).__name__}")
-    specular = light.intensity if light.specular is None else light.specular
-    parameters: Parameters = {
-        "GL_AMBIENT": rgba(light.ambient),
-        "GL_DIFFUSE": rgba(light.intensity),
-        "GL_SPECULAR": rgba(specular),
-    }
-    if isinstance(light, DirectionalLight):
-        return parameters | {"GL_POSITION": [*_floats(light.direction), 0.0]}
-    constant, linear, quadratic = _floats(light.attenuation)
-    parameters |= {
-        "GL_POSITION": [*_floats(light.position), 1.0],
-        "GL_CONSTANT_ATTENUATION": constant,
-        "GL_LINEAR_ATTENUATION": linear,
-        "GL_QUADRATIC_ATTENUATION": quadratic,
-    }
-    if isinstance(light, PointLight):
-        return parameters
-    spot = limited("exponent", light.exponent, MAX_SPOT_EXPONENT, FORMAT, nearest)
-    return parameters | {
-        "GL_SPOT_DIRECTION": _floats(light.axis),
-        "GL_SPOT_EXPONENT": float(spot),
-        "GL_SPOT_CUTOFF": float(light.cutoff),
-    }
-
-
-def _floats(array: Float[Array, " n"]) -> list[float]:
-    return [float(value) for value in np.asarray(array)]
-
-
-def light_from_opengl(parameters: Mapping[str, Any]) -> AbstractLight:
-    """A light from OpenGL's parameters; missing ones have the defaults of GL_LIGHT0.
-
-    The inverse of [`light_to_opengl`][].
-
-    **Raises:** `ValueError` for a name that lights do not have, or for a spot of
-    parallel light.
-    """
-    defaults = {
-        "GL_AMBIENT": (0.0, 0.0, 0.0),
-        "GL_DIFFUSE": (1.0, 1.0, 1.0),
-        "GL_SPECULAR": (1.0, 1.0, 1.0),
-        "GL_POSITION": (0.0, 0.0, 1.0, 0.0),
-        "GL_CONSTANT_ATTENUATION": 1.0,
-        "GL_LINEAR_ATTENUATION": 0.0,
-        "GL_QUADRATIC_ATTENUATION": 0.0,
-        "GL_SPOT_DIRECTION": (0.0, 0.0, -1.0),
-        "GL_SPOT_EXPONENT": 0.0,
-        "GL_SPOT_CUTOFF": 180.0,
-    }
-    check_names("light", parameters, set(defaults))
-    values = defaults | dict(parameters)
-    intensity = values["GL_DIFFUSE"][:3]
-    own = {"specular": values["GL_SPECULAR"][:3], "ambient": values["GL_AMBIENT"][:3]}
-    place = np.asarray(values["GL_POSITION"], float)
-    if place.shape != (4,):
-        raise ValueError(f"GL_POSITION: expected shape (4,), got {place.shape}")
-    spot = values["GL_SPOT_CUTOFF"] != 180
-    if place[3] == 0:
-        if spot:
-            raise ValueError(
-                "GL_SPOT_CUTOFF: a light with w = 0 has no place, and here no cone"
-            )
-        return DirectionalLight(place[:3], intensity, **own)
-    falloff = [
-        values[f"GL_{name}_ATTENUATION"] for name in ("CONSTANT", "LINEAR", "QUADRATIC")
-    ]
-    position = place[:3] / place[3]
-    if not spot:
-        return PointLight(position, intensity, attenuation=falloff, **own)
-    return SpotLight(
-        position,
-        values["GL_SPOT_DIRECTION"],
-        intensity,
-        cutoff=values["GL_SPOT_CUTOFF"],
-        exponent=values["GL_SPOT_EXPONENT"],
-        attenuation=falloff,
-        **own,
-    )
-
-
-def fog_to_opengl(fog: Fog | None, *, nearest: bool = False) -> Parameters | None:
-    """Fog as the arguments of `glFog`; `None` if there is no fog.
-
-    **Raises:** `ValueError` for a colour above 1, unless `nearest`.
-    """
-    if fog is None:
-        return None
-    color = limited("color", fog.color, 1.0, FORMAT, nearest)
-    return {
-        "GL_FOG_MODE": FOG_MODES[fog.mode],
-        "GL_FOG_COLOR": rgba(color),
-        "GL_FOG_DENSITY": float(fog.density),
-        "GL_FOG_START": float(fog.start),
-        "GL_FOG_END": float(fog.end),
-    }
-
-
-def fog_from_opengl(parameters: Mapping[str, Any] | None) -> Fog | None:
-    """Fog from OpenGL's parameters; missing ones have OpenGL's defaults.
-
-    The inverse of [`fog_to_opengl`][].
-
-    **Raises:** `ValueError` for a name or a mode that fog does not have.
-    """
-    if parameters is None:
-        return None
-    defaults = {
-        "GL_FOG_MODE": "GL_EXP",
-        "GL_FOG_COLOR": (0.0, 0.0, 0.0),
-        "GL_FOG_DENSITY": 1.0,
-        "GL_FOG_START": 0.0,
-        "GL_FOG_END": 1.0,
-    }
-    check_names("fog", parameters, set(defaults))
-    values: Parameters = defaults | dict(parameters)
-    modes: dict[str, FogMode] = {name: mode for mode, name in FOG_MODES.items()}
-    mode = values["GL_FOG_MODE"]
-    if mode not in modes:
-        raise ValueError(
-            f"GL_FOG_MODE: expected {list(modes)}, got {values['GL_FOG_MODE']!r}"
-        )
-    return Fog(
-        values["GL_FOG_COLOR"][:3],
-        modes[mode],
-        density=values["GL_FOG_DENSITY"],
-        start=values["GL_FOG_START"],
-        end=values["GL_FOG_END"],
-    )
+    text = opengl_lines(name, material, nearest=nearest)
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")

@@ -36,9 +36,10 @@ PATIENCE = 10.0
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A temporary file to write to, which replaces `path` when the block succeeds.
 
-    If the block ends early, even by an interrupt, the temporary file is removed and an
-    older file at `path` is unchanged. Links are followed. A pipe or a character device,
-    such as `/dev/stdout`, is written to.
+    Other files that the block writes beside the temporary one move beside `path`. If
+    the block ends early, even by an interrupt, the temporary files are removed and
+    older files are unchanged. Links are followed. A pipe or a character device, such as
+    `/dev/stdout`, is written to.
 
     **Arguments:** `path`: the file to make or to replace.
 
@@ -56,10 +57,22 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
             target = Path(os.path.realpath(path))
             place.enter_context(_made(target.parent, path))
             work = place.enter_context(_workplace(_beside(target), path, PATIENCE))
-        temporary = work / path.name
-        with _blaming(path, temporary):
-            yield temporary
-            _put(temporary, path)
+        new = work / "new"
+        with _blaming(path, new, path.parent):
+            new.mkdir()
+            yield new / path.name
+            _put_all(new, path)
+
+
+def _put_all(new: Path, path: Path) -> None:
+    """Replace `path`, and files beside it, by those in the folder `new`."""
+    others = sorted(file.name for file in new.iterdir() if file.name != path.name)
+    if others and _is_stream(path):
+        raise OSError(f"{path}: expected a file, since others go beside it")
+    for name in others:
+        check_file(path.parent / name)
+    for name in (*others, path.name):
+        _put(new / name, path.parent / name)
 
 
 @contextlib.contextmanager
@@ -107,33 +120,6 @@ def replacing_folder(
                     if not (ready / name).exists():
                         os.replace(path / name, old / name)
             _place(ready, path, old)
-
-
-@contextlib.contextmanager
-def replacing_files(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """An empty folder to fill, whose files move beside `path` when the block succeeds.
-
-    For a file that needs others beside it. Older files are replaced only after all new
-    ones are written.
-
-    **Raises:** `OSError` that names `path`.
-    """
-    path = Path(path)
-    check_file(path)
-    if _is_stream(path):
-        raise OSError(f"{path}: expected a file, since others go beside it")
-    with (
-        _made(path.parent, path),
-        _workplace(_beside(path), path, PATIENCE) as work,
-    ):
-        new = work / "new"
-        with _blaming(path, new):
-            new.mkdir()
-            yield new
-            for file in sorted(new.iterdir()):
-                check_file(path.parent / file.name)
-            for file in sorted(new.iterdir()):
-                _put(file, path.parent / file.name)
 
 
 @contextlib.contextmanager
@@ -192,25 +178,10 @@ def _check_replaceable(path: Path, may_replace: Callable[[str], bool] | None) ->
 def _check_untaken(
     path: Path, new: Path, may_replace: Callable[[str], bool] | None
 ) -> None:
-    """Raise if other programs put files of these names into `path` during the block.
-
-    The new files are then moved to another name.
-    """
+    """Raise if other programs put files of these names into `path` during the block."""
     for name in _names(new):
-        if not (path / name).exists() or (
-            may_replace is not None and may_replace(name)
-        ):
-            continue
-        kept = next(
-            place
-            for place in (path / f"{path.name}-{k}" for k in range(2, 10_000))
-            if not place.exists()
-        )
-        os.replace(new, kept)
-        raise OSError(
-            f"{path}: {name} appeared there meanwhile and stays; what was made is in "
-            f"{kept}"
-        )
+        if (path / name).exists() and not (may_replace and may_replace(name)):
+            raise OSError(f"{path}: {name} appeared there meanwhile, and stays")
 
 
 def _names(path: Path) -> list[str]:
@@ -337,8 +308,11 @@ def _copy_into(source: Path, path: Path) -> None:
 
 
 @contextlib.contextmanager
-def _blaming(path: Path, temporary: Path) -> Iterator[None]:
-    """Make errors name `path` in place of the temporary file."""
+def _blaming(path: Path, temporary: Path, place: Path | None = None) -> Iterator[None]:
+    """Make errors name `path` in place of the temporary folder.
+
+    **Arguments:** `place`: final place of the folder's files; default `path`.
+    """
     try:
         yield
     except OSError as error:
@@ -349,7 +323,7 @@ def _blaming(path: Path, temporary: Path) -> Iterator[None]:
             raise OSError(f"{path}: cannot be written: {error.strerror}") from error
         if str(temporary) in str(error):
             # The error is of a file within the temporary folder.
-            told = str(error).replace(str(temporary), str(path))
+            told = str(error).replace(str(temporary), str(place or path))
             raise OSError(told) from error
         raise
 

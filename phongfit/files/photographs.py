@@ -2,7 +2,6 @@
 
 import abc
 import dataclasses
-import functools
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,75 +9,17 @@ from pathlib import Path
 from typing import overload
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
-from phongfit.files.coded import Coded
-from phongfit.files.images import SUFFIXES, Head, read_film, read_head, read_light
+from phongfit.files.images import SUFFIXES, Head, Photo, read_head, read_light
 from phongfit.files.inputs import listed
 from phongfit.files.metadata import Exposure
-from phongfit.rendering.film import Encoding, Film, as_encoding
+from phongfit.rendering.film import Encoding, as_encoding
 
 # Maximum number of photographs whose exposures a note lists.
 LISTED = 6
 # Relative tolerance for equal exposures, white balances and angles of view.
 ALIKE = 1e-3
-
-
-@dataclass(frozen=True)
-class Photo:
-    """A photograph: upright linear light with the primaries of sRGB.
-
-    - `path`: its file.
-    - `encoding`: of its numbers.
-    - `white`: as in [`read_image`][].
-    - `coded`: light in the file's encoding; white and saturated samples are 1.
-    - `usable`: false where the file's alpha is less than 1, and where a saturated
-        channel was mixed into others in the conversion to sRGB.
-    - `clamped`: true if the format ends at white; false for floating-point images.
-    - `exposure`: as the camera recorded it.
-    - `relative_exposure`: exposure relative to the first photograph of its series; 1
-        for a single one.
-    """
-
-    path: Path
-    encoding: Encoding
-    coded: Coded
-    usable: Bool[np.ndarray, "height width"]
-    clamped: bool
-    exposure: Exposure
-    relative_exposure: float = 1.0
-    white: int | None = None
-
-    @property
-    def name(self) -> str:
-        """Name of the file."""
-        return self.path.name
-
-    @functools.cached_property
-    def image(self) -> Float[np.ndarray, "height width 3"]:
-        """The decoded linear light."""
-        return self.coded.light
-
-    @property
-    def film(self) -> Film:
-        """The film of the file: see [`read_film`][]."""
-        return read_film(self.path, self.encoding, white=self.white)
-
-    @property
-    def unsaturated(self) -> Bool[np.ndarray, "height width 3"]:
-        """Mask of samples that are neither cut off at white nor mixed with others."""
-        usable = np.broadcast_to(self.usable[..., None], self.image.shape)
-        return usable & (self.image < 1) if self.clamped else usable.copy()
-
-    @property
-    def common_light(self) -> Float[np.ndarray, "height width 3"]:
-        """The image scaled to the exposure of the first photograph of its series.
-
-        White is then 1 / `relative_exposure`: use `unsaturated` to find valid samples.
-        To keep images as they are, multiply the lights of their scenes instead, and the
-        ambient light, by `relative_exposure`.
-        """
-        return self.image / np.asarray(self.relative_exposure, self.image.dtype)
 
 
 def read_photograph(
@@ -92,19 +33,8 @@ def read_photograph(
 
     **Raises:** `ValueError` that names the file.
     """
-    path = Path(path)
-    return _read(path, encoding, read_head(path).exposure, 1.0, white)
-
-
-def _read(
-    path: Path,
-    encoding: Encoding,
-    exposure: Exposure,
-    relative: float,
-    white: int | None,
-) -> Photo:
-    light = read_light(path, encoding, white=white)
-    return Photo(path, encoding, *light, exposure, relative, white)
+    photo = read_light(path, encoding, white=white)
+    return dataclasses.replace(photo, exposure=read_head(photo.path).exposure)
 
 
 @dataclass(frozen=True)
@@ -150,12 +80,14 @@ class PhotoSeries:
 
         **Raises:** `ValueError` that names the file.
         """
-        path, relative = self.paths[number], float(self.relative_exposures[number])
-        exposure = self.exposures[number]
-        photo = _read(path, self.encoding, exposure, relative, self.white)
+        photo = read_light(self.paths[number], self.encoding, white=self.white)
         if photo.usable.shape != self.size:
-            raise ValueError(f"{path}: has changed since it was read before")
-        return photo
+            raise ValueError(f"{photo.path}: has changed since it was read before")
+        return dataclasses.replace(
+            photo,
+            exposure=self.exposures[number],
+            relative_exposure=float(self.relative_exposures[number]),
+        )
 
 
 def open_photographs(

@@ -148,32 +148,28 @@ class _Body:
     """
 
     def __init__(self, data: bytes, order: str):
-        self._data: bytes | np.ndarray = data
-        self._order, self._at = order, 0
+        self._data, self._order, self._at = memoryview(data), order, 0
         if order == "":
             with warnings.catch_warnings():
                 # NumPy before 2.4 warns of a word that is not a number.
                 warnings.simplefilter("error", DeprecationWarning)
                 try:
-                    self._data = np.fromstring(data.decode("latin-1"), sep=" ")
+                    numbers = np.fromstring(data.decode("latin-1"), sep=" ")
                 except (DeprecationWarning, ValueError):
                     raise ValueError("it has words in place of numbers") from None
+            self._data = numbers.data.cast("B")
 
-    def _check(self, size: float) -> None:
-        if not 0 <= size <= len(self._data) - self._at:
-            raise ValueError("it is truncated, or a count in it is wrong")
-
-    def _size(self, type: str) -> int:
-        return np.dtype(type).itemsize if self._order else 1
+    def _stored(self, type: str) -> np.dtype:
+        """The type of numbers in the body; the numbers of a text are all floats."""
+        return np.dtype(self._order + type if self._order else "f8")
 
     def _take(self, type: str, count: float = 1) -> np.ndarray:
         """The next numbers of a type."""
-        size = count * self._size(type)
-        self._check(size)
-        start, self._at = self._at, self._at + int(size)
-        if isinstance(self._data, np.ndarray):
-            return self._data[start : self._at]
-        return np.frombuffer(self._data, self._order + type, int(count), start)
+        dtype, start = self._stored(type), self._at
+        if not 0 <= count * dtype.itemsize <= len(self._data) - start:
+            raise ValueError("it is truncated, or a count in it is wrong")
+        self._at += int(count) * dtype.itemsize
+        return np.frombuffer(self._data, dtype, int(count), start)
 
     def _take_row(self, properties: list[_Property]) -> list[np.ndarray]:
         """One element: an array for each property."""
@@ -205,26 +201,20 @@ class _Body:
         row, self._at = self._at - start, start
         if row * length > len(self._data) - start:
             return []
-        fields: list[tuple[str, str, tuple[int, ...]]] = []
+        fields: list[tuple[str, np.dtype, tuple[int, ...]]] = []
         for k, (one, width) in enumerate(zip(element.properties, widths, strict=True)):
             if one.length_type is not None:
-                fields.append((f"count{k}", self._order + one.length_type, (1,)))
-            fields.append((f"{k}", self._order + one.type, (width,)))
-        if isinstance(self._data, np.ndarray):
-            rows = self._data[start : start + row * length].reshape(length, row)
-            ends = np.cumsum([width for *_, (width,) in fields])
-            each = np.split(rows, ends[:-1], axis=1)
-            table = dict(zip([name for name, *_ in fields], each, strict=True))
-        else:
-            rows = np.frombuffer(self._data, np.dtype(fields), length, start)
-            table = {name: rows[name] for name, *_ in fields}
+                fields.append((f"count{k}", self._stored(one.length_type), (1,)))
+            fields.append((f"{k}", self._stored(one.type), (width,)))
+        rows = np.frombuffer(self._data, np.dtype(fields), length, start)
         columns = []
         for k, (one, width) in enumerate(zip(element.properties, widths, strict=True)):
-            counts = table.get(f"count{k}")
-            if counts is not None and (counts != width).any():
-                return []
-            counts = None if counts is None else np.full(length, width)
-            columns.append(_Column(one.type, table[f"{k}"].ravel(), counts))
+            counts = None
+            if one.length_type is not None:
+                if (rows[f"count{k}"] != width).any():
+                    return []
+                counts = np.full(length, width)
+            columns.append(_Column(one.type, rows[f"{k}"].ravel(), counts))
         self._at = start + row * length
         return columns
 

@@ -246,15 +246,15 @@ def _read_entry(
         file = inside(path.parent, entry.file)
         mask_file = None if entry.mask is None else inside(path.parent, entry.mask)
     encoding = record.encoding or "linear"
-    coded, usable, _ = read_light(file, encoding, white=record.white)
-    mask = usable if mask_file is None else read_mask(mask_file)
-    for source, shape in ((file, coded.numbers.shape[:2]), (mask_file, mask.shape)):
+    photo = read_light(file, encoding, white=record.white)
+    mask = photo.usable if mask_file is None else read_mask(mask_file)
+    for source, shape in ((file, photo.usable.shape), (mask_file, mask.shape)):
         if shape != size:
             raise ValueError(
                 f"{source}: expected {size[1]} × {size[0]} pixels, as the camera in "
                 f"{path.name} has, got {shape[1]} × {shape[0]}"
             )
-    return Photograph(coded, usable if mask_file is None else mask & usable)
+    return Photograph(photo.coded, mask & photo.usable)
 
 
 def with_lights(scene: Scene, on: Sequence[int] | None) -> Scene:

@@ -16,7 +16,7 @@ from phongfit.codes import warn
 from phongfit.files.budget import afford
 from phongfit.files.colmap import CAMERA
 from phongfit.files.images import SUFFIXES, read_head
-from phongfit.files.inputs import inside, listed, naming, read_text
+from phongfit.files.inputs import beside, inside, listed, naming, read_text
 from phongfit.files.records import Many, validated
 from phongfit.files.strict_json import parse_json, shorten
 from phongfit.geometry.cameras import PinholeCamera
@@ -29,8 +29,6 @@ from phongfit.geometry.distortion import (
 
 MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "OPENCV_FISHEYE")
 FEW = 8
-DEEPEST = 64
-"""Maximum number of parts at the end of a file's name that are tried."""
 
 Positive = Annotated[float, Field(gt=0)]
 Angle = Annotated[float, Field(gt=0, lt=math.pi)]
@@ -154,13 +152,7 @@ def image_of(folder: Path, name: str) -> Path:
     """
     known = Path(name).suffix.lower() in SUFFIXES
     name = name if known else f"{name}.png"
-    path = PureWindowsPath(name)
-    parts = [part for part in path.parts if part not in (path.anchor, "..")][-DEEPEST:]
-    for start in range(len(parts)):
-        found = inside(folder, "/".join(parts[start:]))
-        if found.is_file():
-            return found
-    return inside(folder, name)
+    return beside(folder, name) or inside(folder, name)
 
 
 def _focal(frame: _Frame, width: int, height: int) -> Mapping[str, float]:

@@ -26,7 +26,7 @@ import numpy as np
 
 from phongfit.files.gltf import F0_OF_WHITE, Part, Picture
 from phongfit.files.limits import lost
-from phongfit.files.outputs import replacing, replacing_files
+from phongfit.files.outputs import replacing
 from phongfit.plain import plain
 
 COLOUR = "COLOR_0"
@@ -65,8 +65,8 @@ def write_usd(
             "pip install 'phongfit[usd]'"
         )
     if path.suffix.lower() != ".usdz":
-        with replacing_files(path) as folder:
-            _write(folder / path.name, parts, nearest)
+        with replacing(path) as temporary:
+            _write(temporary, parts, nearest)
         return
     from pxr import UsdUtils
 

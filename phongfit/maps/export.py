@@ -1,26 +1,23 @@
 """Export of maps for other programs, as materials with texture images."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
-from phongfit.files.gltf import Part, pbr_material, write_gltf
-from phongfit.files.images import to_levels
-from phongfit.files.mesh_writing import obj_text, write_ply, write_stl
+from phongfit.files.mesh_saving import write_mesh, write_textured_mtl
 from phongfit.files.mtl import MAX_NS
-from phongfit.files.outputs import replacing_files
 from phongfit.geometry.grids import faces_within
 from phongfit.geometry.height import HeightField
+from phongfit.geometry.meshes import Mesh
 from phongfit.maps.folder import load_folder
-from phongfit.maps.textures import (
-    TextureMaps,
-    gltf_textures,
-    mtl_textures,
-    rectangle,
-    texture_maps,
-)
+from phongfit.maps.textures import TextureMaps, texture_maps
 from phongfit.material import Material
+from phongfit.textures import Textures, VertexColours
+
+BITS = 8
+"""Bits of the textures, since maps have more noise than these round."""
 
 
 def export_maps(
@@ -54,34 +51,49 @@ def export_maps(
     if not textured.inside.any():
         raise ValueError(f"{folder}: no pixel of these maps was fitted")
     words = _filled_words(textured)
+    if nearest and to in ("mtl", "obj"):
+        textured = textured._replace(
+            specular=np.minimum(textured.specular, 1),
+            shininess=np.minimum(textured.shininess, MAX_NS),
+        )
+    material, names = Material(1.0, 1.0, 1.0, 1.0), ["_".join(name.split())]
     if to == "mtl":
-        return _write_mtl(path, name, textured, nearest) + words
+        textures = textured.textures()
+        write_textured_mtl(path, names[0], material, textures, nearest=nearest)
+        return name + words
     if to in ("obj", "ply", "stl") or surface:
         field = maps.height(distance=distance)
-        part = relief(field, maps.normals)
+        mesh = relief(field, maps.normals)
         warned = "".join(f"; {warning}" for warning in field.warnings)
-        words = f"; {len(part.faces):,} triangles" + warned + words
-        if to == "obj":
-            return _write_mtl(path, name, textured, nearest, part) + words
-        if to == "ply":
-            write_ply(path, part, to_levels(textured.diffuse, "srgb", 8)[field.mask])
-            return name + words
-        if to == "stl":
-            write_stl(path, part)
-            return f"{name}, the shape alone{words}"
+        words = f"; {len(mesh.faces):,} triangles" + warned + words
         # No normal texture, since each texel is a vertex and vertices have normals.
-        textures = gltf_textures(textured, None)
+        textures, inside = textured.textures(), field.mask
     else:
-        part = rectangle(*maps.flags.shape)
-        textures = gltf_textures(textured, normals)
-    material = pbr_material(name, typical(textured), nearest=True)
-    material["extras"]["of"] = "the median of the maps; each texel has its own"
-    write_gltf(path, [(part, material | textures)])
-    height, width = maps.flags.shape
-    return f"{name}, {width} × {height} texels" + words
+        mesh, inside = rectangle(*maps.flags.shape), None
+        textures = textured.textures(normals)
+    if to == "stl":
+        words = f", the shape alone{words}"
+    if to == "ply":
+        rows = VertexColours(np.minimum(textured.diffuse, 1)[inside])
+        material = Material(1.0, 0.0, 1.0, 1.0)
+        textures = Textures(diffuse=rows, ambient=rows)
+    opacity = None
+    if to == "gltf":
+        # glTF has no ambient texture.
+        ambient = textured.ambient[textured.inside[..., 0] > 0]
+        material = dataclasses.replace(material, ambient=np.median(ambient, axis=0))
+        textures = dataclasses.replace(textures, ambient=None)
+        opacity, names = textured.inside, [name]
+        height, width = maps.flags.shape
+        words = f", {width} × {height} texels" + words
+    mesh = mesh.with_textures(textures)
+    write_mesh(
+        path, to, mesh, material, names, nearest=nearest, bits=BITS, opacity=opacity
+    )
+    return name + words
 
 
-def relief(field: HeightField, normals: Float[np.ndarray, "height width 3"]) -> Part:
+def relief(field: HeightField, normals: Float[np.ndarray, "height width 3"]) -> Mesh:
     """A height field as triangles, with a vertex and a normal for each pixel.
 
     **Raises:** `ValueError` if no three neighbours have heights.
@@ -90,18 +102,24 @@ def relief(field: HeightField, normals: Float[np.ndarray, "height width 3"]) -> 
     vertices, faces = field.positions().reshape(-1, 3), faces_within(field.mask)
     if not len(faces):
         raise ValueError("mask: expected neighbouring pixels, got none")
-    number = np.cumsum(field.mask.ravel()) - 1
     inside = field.mask.ravel()
+    faces = (np.cumsum(inside) - 1)[faces]
     y, x = np.mgrid[:height, :width] + 0.5
+    uv = np.stack([x / width, y / height], axis=-1).reshape(-1, 2)[inside]
     axes = np.asarray(field.camera.rotation, float)
     # A normal of 0 is not identified: it is replaced by the camera's axis.
     own = np.where(normals.any(axis=-1, keepdims=True), normals, [0, 0, 1])
-    return Part(
-        vertices[inside],
-        number[faces],
-        (own @ axes.T).reshape(-1, 3)[inside],
-        np.stack([x / width, y / height], axis=-1).reshape(-1, 2)[inside],
-    )
+    own = (own @ axes.T).reshape(-1, 3)[inside]
+    return Mesh(vertices[inside], faces, own, uv=uv[faces])
+
+
+def rectangle(height: int, width: int) -> Mesh:
+    """Rectangle for the textures of maps: 2 high, in their aspect ratio, facing +z."""
+    x, y = width / height, 1.0
+    corners = np.array([[-x, -y, 0], [x, -y, 0], [x, y, 0], [-x, y, 0]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    uv = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
+    return Mesh(corners, faces, uv=uv[faces])
 
 
 def _filled_words(textured: TextureMaps) -> str:
@@ -113,54 +131,3 @@ def _filled_words(textured: TextureMaps) -> str:
         f"; {count:,} of {of:,} pixels do not identify all: there a highlight is 0, or "
         "has the median of the others"
     )
-
-
-def typical(textured: TextureMaps) -> Material:
-    """Material with the median of each parameter over all pixels."""
-    inside = textured.inside[..., 0] > 0
-    return Material(
-        np.median(textured.diffuse[inside], axis=0),
-        np.median(textured.specular[inside], axis=0),
-        float(np.median(textured.shininess[inside])),
-        np.median(textured.ambient[inside], axis=0),
-    )
-
-
-def _write_mtl(
-    path: Path,
-    name: str,
-    textured: TextureMaps,
-    nearest: bool,
-    part: Part | None = None,
-) -> str:
-    """Write an `.mtl` with its textures, and with a part also an `.obj` that names it.
-
-    **Returns:** a description of the written files.
-    """
-    if any(blank in path.stem for blank in " \t#"):
-        raise ValueError(f"{path}: expected a name without blanks, for the textures")
-    highest = float(textured.shininess.max())
-    if highest > MAX_NS and not nearest:
-        raise ValueError(
-            f"shininess: expected at most {MAX_NS:g} for .mtl, got {highest:g} "
-            "(nearest=True takes the nearest that it holds)"
-        )
-    capped = np.minimum(textured.shininess, MAX_NS)
-    textures = mtl_textures(textured._replace(shininess=capped))
-    lines = [
-        "# Textures multiply the numbers; those of colours are sRGB-encoded.",
-        f"newmtl {'_'.join(name.split())}",
-    ]
-    for key, (_, numbers) in textures.items():
-        shown = " ".join(f"{number:.9g}" for number in numbers)
-        lines += [f"{key} {shown}", f"map_{key} {path.stem}_{key}.png"]
-    text = "\n".join([*lines, "illum 2", ""])
-    with replacing_files(path) as folder:
-        for key, (image, _) in textures.items():
-            (folder / f"{path.stem}_{key}.png").write_bytes(image)
-        library = f"{path.stem}.mtl" if part is not None else path.name
-        (folder / library).write_text(text, encoding="utf-8")
-        if part is not None:
-            mesh = obj_text(part, library, "_".join(name.split()))
-            (folder / path.name).write_text(mesh, encoding="utf-8")
-    return f"{name}, with {', '.join(f'{path.stem}_{key}.png' for key in textures)}"

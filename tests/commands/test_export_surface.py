@@ -56,7 +56,7 @@ def test_a_mesh(hills, tmp_path, capsys, name):
         assert beside == [
             *("a.mtl", "a.obj", "a_Ka.png", "a_Kd.png", "a_Ks.png", "a_Ns.png")
         ]
-        assert "map_Kd a_Kd.png" in (tmp_path / "a.mtl").read_text()
+        assert "map_Kd -clamp on a_Kd.png" in (tmp_path / "a.mtl").read_text()
 
 
 def test_triangles_alone(hills, tmp_path, capsys):

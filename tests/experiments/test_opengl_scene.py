@@ -14,7 +14,7 @@ from experiments.opengl_scene import (
     shading_from_opengl,
     shading_to_opengl,
 )
-from phongfit.files.opengl import light_from_opengl, light_to_opengl
+from experiments.opengl_state import light_from_opengl, light_to_opengl
 from tests.helpers import floats, near
 
 BOX = pf.shapes.plane().mesh(1, 1)

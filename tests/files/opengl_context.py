@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 
 from experiments.opengl_scene import MAX_LIGHTS, camera_to_opengl, scene_to_opengl
-from phongfit.files.opengl import Parameters, light_to_opengl, material_to_opengl
+from experiments.opengl_state import light_to_opengl
+from phongfit.files.opengl import Parameters, material_to_opengl
 from phongfit.geometry.meshes import Mesh
 from phongfit.lights import AbstractLight
 from phongfit.material import Material, unstack_materials

@@ -1,5 +1,6 @@
 """Outputs: whole or not at all."""
 
+import contextlib
 import errno
 import json
 import os
@@ -21,7 +22,6 @@ from phongfit.files.outputs import (
     WORK,
     alone_in,
     replacing,
-    replacing_files,
     replacing_folder,
     write_json,
 )
@@ -49,7 +49,7 @@ def test_an_interrupt_leaves_the_old_file_and_nothing_else(tmp_path, stop):
     assert os.listdir(tmp_path) == ["out.txt"]
 
 
-@pytest.mark.parametrize("make", [replacing, replacing_files, replacing_folder])
+@pytest.mark.parametrize("make", [replacing, replacing_folder])
 def test_folders_above_are_made_and_go_if_nothing_comes_of_it(tmp_path, make):
     path = tmp_path / "new" / "newer" / "out"
     with pytest.raises(ZeroDivisionError), make(path):
@@ -60,7 +60,7 @@ def test_folders_above_are_made_and_go_if_nothing_comes_of_it(tmp_path, make):
     assert path.exists() and len(list(tmp_path.rglob("*"))) == 3 + path.is_dir()
 
 
-@pytest.mark.parametrize("make", [replacing, replacing_files, replacing_folder])
+@pytest.mark.parametrize("make", [replacing, replacing_folder])
 def test_file_in_place_of_a_folder_above_is_named(tmp_path, make):
     (tmp_path / "file").touch()
     words = f"{tmp_path / 'file'} is a file, expected a folder"
@@ -132,17 +132,24 @@ def test_files_that_came_meanwhile_stay(tmp_path, may_replace):
     assert sorted(os.listdir(out)) == ["a.txt", "notes.txt"]
 
 
-def test_neither_what_came_meanwhile_nor_what_was_made_is_lost(tmp_path):
+def test_a_file_that_came_meanwhile_is_not_replaced(tmp_path):
     out = tmp_path / "set"
-    with pytest.raises(
-        OSError, match=r"a\.txt appeared .* what was made is in .*set-2"
-    ):
+    with pytest.raises(OSError, match=r"a\.txt appeared there meanwhile, and stays"):
         with replacing_folder(out) as folder:
             (folder / "a.txt").write_text("new")
             (out / "a.txt").write_text("mine")
-    assert (out / "a.txt").read_text() == "mine"
-    assert (out / "set-2" / "a.txt").read_text() == "new"
-    assert sorted(os.listdir(out)) == ["a.txt", "set-2"]
+    assert (out / "a.txt").read_text() == "mine" and os.listdir(out) == ["a.txt"]
+
+
+def test_files_beside_a_file_move_with_it(tmp_path):
+    path = tmp_path / "lock"
+    for stop in (True, False):
+        with contextlib.suppress(KeyboardInterrupt), replacing(path) as temporary:
+            temporary.write_text("made")
+            temporary.with_name("other").write_text("too")
+            if stop:
+                raise KeyboardInterrupt
+        assert sorted(os.listdir(tmp_path)) == ([] if stop else ["lock", "other"])
 
 
 def test_one_run_at_a_time(tmp_path):
@@ -299,8 +306,9 @@ def test_devices_are_written_to_and_sockets_refused(tmp_path):
         temporary.write_text("gone")
     assert null.stat().st_ino == before.st_ino and null.is_char_device()
     with pytest.raises(OSError, match="expected a file, since others go beside"):
-        with replacing_files(null):
-            pytest.fail("the block must not be entered")
+        with replacing(null) as temporary:
+            temporary.write_text("gone")
+            temporary.with_name("other").touch()
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(str(tmp_path / "socket"))
         with pytest.raises(OSError, match="is a device or a socket, expected a file"):

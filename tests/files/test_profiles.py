@@ -51,11 +51,11 @@ def test_any_profile_of_srgb_changes_nothing(tmp_path, levels):
     built = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
     for profile in (built, imagecodecs.cms_profile("srgb")):
         save(tmp_path / "a.png", levels, profile)
-        coded, usable, _ = read_light(tmp_path / "a.png", "srgb")
-        image = coded.light
+        photo = read_light(tmp_path / "a.png", "srgb")
+        image = photo.image
         expected = decode(levels / 255, "srgb").astype(image.dtype)
         np.testing.assert_allclose(image, expected, rtol=1e-6)
-        assert usable.all()
+        assert photo.usable.all()
         film = pf.Film(encoding="srgb", bits=8)
         assert read_film(tmp_path / "a.png", "srgb") == film
         with pytest.raises(ValueError, match=r"a\.png: expected encoding 'srgb', sinc"):
@@ -125,11 +125,11 @@ def test_another_curve_with_the_primaries_of_srgb(tmp_path, levels):
     wide = levels.astype(np.uint16) * 257
     save_tiff(tmp_path / "a.tif", wide, rgb_profile(SRGB, 2.2))
     for path in (tmp_path / "a.png", tmp_path / "a.tif"):
-        coded, usable, _ = read_light(path, "srgb")
-        image = coded.light
+        photo = read_light(path, "srgb")
+        image = photo.image
         np.testing.assert_allclose(image, (levels / 255) ** 2.2, atol=2e-4)
         # Channels are not mixed: what is saturated is known to be.
-        assert image[0, 0, 0] == 1 and usable.all()
+        assert image[0, 0, 0] == 1 and photo.usable.all()
 
 
 def test_linear_profiles(tmp_path, levels):

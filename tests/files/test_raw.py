@@ -98,9 +98,9 @@ def test_the_light_of_a_raw_photograph(tmp_path, rawpy):
     path = tmp_path / "a.dng"
     # White balance: red is seen at a half, blue at four fifths.
     path.write_bytes(dng(seen(0.1, 0.2, 0.24)))
-    coded, usable, _ = read_light(path, "linear")
-    image = coded.light
-    assert image.shape == (32, 48, 3) and usable.all()
+    photo = read_light(path, "linear")
+    image = photo.image
+    assert image.shape == (32, 48, 3) and photo.usable.all()
     expected = np.broadcast_to([0.2, 0.2, 0.3], image.shape)
     np.testing.assert_allclose(image, expected, atol=3e-4)
     assert read_film(path, "linear") == Film()
@@ -144,10 +144,11 @@ def test_saturated_and_turned(tmp_path, rawpy):
     path = tmp_path / "a.dng"
     path.write_bytes(dng(mosaic, orientation=6))
     assert read_head(path).size == (32, 48)
-    coded, usable, _ = read_light(path, "linear")
-    image = coded.light
+    photo = read_light(path, "linear")
+    image = photo.image
     assert image.shape == (48, 32, 3)
     # The file's upper left corner has come to the right.
+    usable = photo.usable
     assert not usable[:8, -8:].any() and usable[12:].all() and usable[:, :20].all()
     assert (image[:6, -6:] == 1).all()
     np.testing.assert_allclose(image[14:, :16], 0.2, atol=3e-4)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from phongfit.files.packing import write_packed
+from phongfit.files.saved import write_packed
 from phongfit.lights import AbstractLight, Illumination
 from phongfit.vectors import normalize
 from tests.fitting.scenes import SIZE

@@ -84,139 +84,93 @@ def test_defaults_and_look_at_by_hand(tmp_path):
     assert eqx.tree_equal(scene, expected)
 
 
-def _change(*path_and_value):
-    """The good file with one value set, or removed where it is `...`."""
-    *path, key, value = path_and_value
-
-    def change(data):
-        for step in path:
-            data = data[step]
-        if value is ...:
-            del data[key]
-        else:
-            data[key] = value
-
-    return change
-
-
 MAP = {"kind": "normal_map", "normals": "n.npy"}
 
+# A place in the file, its wrong value (... to remove it), and words of the message.
 WRONG = [
-    (_change("colour", 3), "the file: \"colour\" is no key of it; known: ['format'"),
-    (_change("ambeint", 3), "\"ambeint\" is no key of it; did you mean 'ambient'?"),
-    (_change("lights", 1, "intensty", 1), 'lights[1]: "intensty" is no key'),
-    (_change("camera", "fov", 30), 'camera: "fov" is no key'),
+    ("colour", 3, "the file: \"colour\" is no key of it; known: ['format'"),
+    ("ambeint", 3, "\"ambeint\" is no key of it; did you mean 'ambient'?"),
+    ("lights.1.intensty", 1, 'lights[1]: "intensty" is no key'),
+    ("camera.fov", 30, 'camera: "fov" is no key'),
     (
-        _change("lights", 0, "direction", [0, 0, 0]),
+        "lights.0.direction",
+        [0, 0, 0],
         "lights[0].direction: expected ... got [0. 0. 0.]",
     ),
+    ("lights.0.direction", [0, 1], "lights[0].direction: expected th ... got [0, 1]"),
+    ("lights.0.direction", [0, "a", 1], 'lights[0].direction[1]: expected ... got "a"'),
+    ("lights.0.direction", ..., "lights[0].direction: is missing"),
     (
-        _change("lights", 0, "direction", [0, 1]),
-        "lights[0].direction: expected th ... got [0, 1]",
-    ),
-    (
-        _change("lights", 0, "direction", [0, "a", 1]),
-        'lights[0].direction[1]: expected ... got "a"',
-    ),
-    (_change("lights", 0, "direction", ...), "lights[0].direction: is missing"),
-    (
-        _change("lights", 0, "intensity", [0, -1, 0]),
+        "lights.0.intensity",
+        [0, -1, 0],
         "lights[0].intensity: expected ... got [ 0. -1.",
     ),
+    ("lights.0.intensity", -1, "lights[0].intensity: expected ... got [-1. -1. -1.]"),
+    ("lights.0.intensity", "much", 'lights[0].intensity: expected one ... got "much"'),
+    ("lights.0.intensity", True, "lights[0].intensity: expected one ... got true"),
     (
-        _change("lights", 0, "intensity", -1),
-        "lights[0].intensity: expected ... got [-1. -1. -1.]",
-    ),
-    (
-        _change("lights", 0, "intensity", "much"),
-        'lights[0].intensity: expected one ... got "much"',
-    ),
-    (
-        _change("lights", 0, "intensity", True),
-        "lights[0].intensity: expected one ... got true",
-    ),
-    (
-        _change("lights", 1, "attenuation", [0, 0, 0]),
+        "lights.1.attenuation",
+        [0, 0, 0],
         "lights[1].attenuation: expected ... got [0. 0. 0.]",
     ),
+    ("lights.2.axis", [0, 0, 0], "lights[2].axis: expected ... got [0. 0. 0.]"),
+    ("lights.2.cutoff_degrees", 91, "lights[2].cutoff_degrees: expected ... got 91."),
+    ("lights.2.exponent", -1, "lights[2].exponent: expected ... got -1."),
+    ("lights.0.kind", "laser", 'lights[0].kind: expected one of ... got "laser"'),
+    ("lights.0.kind", ..., "lights[0].kind: is missing"),
+    ("lights.0", 3, "lights[0]: expected an object {…}, got 3"),
+    ("lights", 3, "lights: expected a valid list, got 3"),
+    ("camera.width", 0, "camera.width: expected a whole number ≥ 1, got 0"),
+    ("camera.width", 2.5, "camera.width: expected a valid integer ... got 2.5"),
+    ("camera.width", 2**26, "camera.width: expected ... got 67108864 × 4 pixels"),
     (
-        _change("lights", 2, "axis", [0, 0, 0]),
-        "lights[2].axis: expected ... got [0. 0. 0.]",
-    ),
-    (
-        _change("lights", 2, "cutoff_degrees", 91),
-        "lights[2].cutoff_degrees: expected ... got 91.",
-    ),
-    (_change("lights", 2, "exponent", -1), "lights[2].exponent: expected ... got -1."),
-    (
-        _change("lights", 0, "kind", "laser"),
-        'lights[0].kind: expected one of ... got "laser"',
-    ),
-    (_change("lights", 0, "kind", ...), "lights[0].kind: is missing"),
-    (_change("lights", 0, 3), "lights[0]: expected an object {…}, got 3"),
-    (_change("lights", 3), "lights: expected a valid list, got 3"),
-    (_change("camera", "width", 0), "camera.width: expected a whole number ≥ 1, got 0"),
-    (
-        _change("camera", "width", 2.5),
-        "camera.width: expected a valid integer ... got 2.5",
-    ),
-    (
-        _change("camera", "width", 2**26),
-        "camera.width: expected ... got 67108864 × 4 pixels",
-    ),
-    (
-        _change("camera", "fov_y_degrees", 180),
+        "camera.fov_y_degrees",
+        180,
         "camera.fov_y_degrees: expected a number ... got 180.",
     ),
-    (_change("camera", "target", [0, 0, 0]), "camera.rotation: expected it or target"),
+    ("camera.target", [0, 0, 0], "camera.rotation: expected it or target"),
+    ("camera.rotation", [[1, 0, 0]], "camera.rotation: expected ... got [[1, 0, 0]]"),
     (
-        _change("camera", "rotation", [[1, 0, 0]]),
-        "camera.rotation: expected ... got [[1, 0, 0]]",
-    ),
-    (
-        _change("camera", "rotation", [[1, 0, 0], [0, 1, 0], [0, 0, 2]]),
+        "camera.rotation",
+        [[1, 0, 0], [0, 1, 0], [0, 0, 2]],
         "camera.rotation: expected orthonormal ... got [[1. 0. 0.] [0. 1.",
     ),
+    ("surface.radius", -1, "surface.radius: expected a number > 0, got -1."),
+    ("surface.kind", "cube", 'surface.kind: expected ... got "cube"'),
+    ("surface", MAP, "surface.normals: "),
     (
-        _change("surface", "radius", -1),
-        "surface.radius: expected a number > 0, got -1.",
-    ),
-    (_change("surface", "kind", "cube"), 'surface.kind: expected ... got "cube"'),
-    (_change("surface", MAP), "surface.normals: "),
-    (
-        _change("surface", MAP | {"normals": "../n.npy"}),
+        "surface",
+        MAP | {"normals": "../n.npy"},
         "surface.normals: expected ... got '../n.npy'",
     ),
-    (_change("surface", MAP | {"mask": "/m.png"}), "surface."),
-    (
-        _change("specular", "gate", 1),
-        "specular.gate: expected a valid boolean ... got 1",
-    ),
-    (
-        _change("specular", "kind", "minnaert"),
-        'specular.kind: expected ... got "minnaert"',
-    ),
-    (_change("ambient", None), "ambient: expected ... got null"),
-    (_change("ambient", -0.5), "ambient: expected ... got [-0.5 -0.5 -0.5]"),
-    (_change("format", "mesh"), "format: expected 'phongfit scene', got \"mesh\""),
-    (_change("version", 2), "version: expected 1, got 2"),
-    (
-        _change("encoding", "gamma"),
-        "encoding: expected 'linear' or 'srgb' ... got \"gamma\"",
-    ),
-    (_change("bits", 17), "bits: expected ... got 17"),
-    (_change("surface", ...), "surface: is missing"),
+    ("surface", MAP | {"mask": "/m.png"}, "surface."),
+    ("specular.gate", 1, "specular.gate: expected a valid boolean ... got 1"),
+    ("specular.kind", "minnaert", 'specular.kind: expected ... got "minnaert"'),
+    ("ambient", None, "ambient: expected ... got null"),
+    ("ambient", -0.5, "ambient: expected ... got [-0.5 -0.5 -0.5]"),
+    ("format", "mesh", "format: expected 'phongfit scene', got \"mesh\""),
+    ("version", 2, "version: expected 1, got 2"),
+    ("encoding", "gamma", "encoding: expected 'linear' or 'srgb' ... got \"gamma\""),
+    ("bits", 17, "bits: expected ... got 17"),
+    ("surface", ..., "surface: is missing"),
 ]
 
 
-@pytest.mark.parametrize("change, message", WRONG, ids=[row[1] for row in WRONG])
-def test_wrong_values(tmp_path, change, message):
+@pytest.mark.parametrize("place, value, message", WRONG)
+def test_wrong_values(tmp_path, place, value, message):
     camera = pf.PerspectiveCamera(5, 4)
     save_scene(
         tmp_path, pf.Scene(pf.Sphere(), camera, LIGHTS, specular_model=pf.Phong())
     )
     data = json.loads((tmp_path / "scene.json").read_text())
-    change(data)
+    *path, last = place.split(".")
+    part = data
+    for key in path:
+        part = part[int(key) if key.isdecimal() else key]
+    if value is ...:
+        del part[last]
+    else:
+        part[int(last) if last.isdecimal() else last] = value
     _check_error(tmp_path, json.dumps(data), message)
 
 

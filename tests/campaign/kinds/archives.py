@@ -13,8 +13,7 @@ import scipy.io
 
 from phongfit.files.arrays import read_array
 from phongfit.files.datasets import read_dataset
-from phongfit.files.packing import STRUCTURE, write_packed
-from phongfit.files.saved import header, load_fit
+from phongfit.files.saved import STRUCTURE, header, load_fit, write_packed
 from phongfit.maps.pixel.settings import MAP_PARAMETERS
 from phongfit.maps.result import load_maps
 from phongfit.maps.store import TileStore

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from phongfit.files.opengl import (
+from experiments.opengl_state import (
     fog_from_opengl,
     fog_to_opengl,
     light_from_opengl,
     light_to_opengl,
     material_from_opengl,
-    material_to_opengl,
 )
+from phongfit.files.opengl import material_to_opengl
 from tests.helpers import near
 
 
