@@ -2,6 +2,7 @@
 
 import dataclasses
 import shlex
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -11,12 +12,13 @@ from tyro.conf import OmitArgPrefixes
 
 from phongfit.commands.data import DataOptions, read_data, tell
 from phongfit.commands.keeping import keeping
-from phongfit.commands.loading import loading_lines
 from phongfit.commands.options import (
     FitOptions,
     OutFolder,
     UnknownOptions,
+    changed,
     optional,
+    refuse,
     specification_of,
 )
 from phongfit.commands.progress import stage
@@ -134,9 +136,7 @@ def main(options: Options) -> int:
 
 def _fit_textures(options: Options, given: dict[str, Any]) -> int:
     """Fit with texels among the unknowns."""
-    for name in ("like", "refine_lights"):
-        if getattr(options, name):
-            raise ValueError(f"{name}: expected none with textures")
+    refuse(options, "like refine_lights", "expected none with textures")
     may_replace = OURS.__contains__ if options.overwrite else None
     with replacing_folder(options.out, may_replace) as folder:
         data, read = read_data(options.data)
@@ -160,15 +160,11 @@ def _words(options: Options) -> list[str]:
     """The command that repeats a fit of textures, with all options that were given."""
     words = ["phongfit", "fit", str(options.data.dataset)]
     for group in (options.data, options.unknown, options.fitting, options.texture):
-        for field in dataclasses.fields(group):
-            value = getattr(group, field.name)
-            if field.name == "dataset" or value == field.default:
-                continue
-            words.append("--" + field.name.replace("_", "-"))
-            if isinstance(value, tuple):
-                words += map(str, value)
-            elif value is not True:
-                words.append(str(value))
+        for name, value in changed(group).items():
+            if name != "dataset":
+                words.append("--" + name.replace("_", "-"))
+                many = value if isinstance(value, tuple) else [value]
+                words += [str(one) for one in many if one is not True]
     return [*words, "-o", f"{options.out}-again"]
 
 
@@ -179,13 +175,10 @@ def _asked(
     if record is None:
         asked = specification_of(options.unknown, options.fitting)
         return asked, options.fitting.noise, options.data
-    for group in (options.unknown, options.fitting):
-        for field in dataclasses.fields(group):
-            if getattr(group, field.name) != field.default:
-                raise ValueError(
-                    f"{field.name}: expected this option or --like, which says it, got "
-                    "both"
-                )
+    for name in changed(options.unknown) | changed(options.fitting):
+        raise ValueError(
+            f"{name}: expected this option or --like, which says it, got both"
+        )
     settings, data = record.settings, options.data.like(record.data.reading)
     return settings.specification(), settings.noise, data
 
@@ -285,3 +278,17 @@ def _again(options: Options) -> str:
         words += [] if path is None else [f"--{name}", str(path)]
     like = str(options.out / FIT_FILE)
     return shlex.join([*words, "--like", like, "-o", f"{options.out}-again"])
+
+
+def loading_lines(options: DataOptions, names: Collection[str]) -> str:
+    """Python that reads the data and defines variables, such as `scene` and `image`."""
+    given = options.arguments.items()
+    first, *others = [repr(v) if n == "dataset" else f"{n}={v!r}" for n, v in given]
+    several = "scenes" in names
+    targets = "scenes, images, masks" if several else "(scene,), (image,), (mask,)"
+    lines = [
+        f"data = pf.open_data({', '.join([first, *others])}).load()",
+        f"{targets} = data.scenes, data.images, data.masks",
+    ]
+    lines += [f"{n} = data.{n}" for n in ("film", "uncertain") if n in names]
+    return "\n".join(lines)

@@ -1,23 +1,24 @@
 """Fits of textures by `phongfit fit`: options, pictures, report."""
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from phongfit.commands.options import FitOptions, UnknownOptions, optional
+from phongfit.commands.options import (
+    FitOptions,
+    UnknownOptions,
+    changed,
+    known_material,
+    optional,
+    refuse,
+)
 from phongfit.files.dataset import Dataset
-from phongfit.files.inputs import naming
-from phongfit.files.materials import read_material
 from phongfit.files.outputs import replacing
 from phongfit.files.schema import describe_material
 from phongfit.fitting.problem.parameters import TEXTURE
 from phongfit.fitting.texels.result import TextureFit
 from phongfit.fitting.texture_fit import TEXTURED
-
-FITTED = ("unknowns", "per_channel")
-"""Options of [`UnknownOptions`][] that apply to textures."""
 
 
 @dataclass(frozen=True)
@@ -56,16 +57,15 @@ def arguments_for(
     """
     names = textures_among(unknown.unknowns)
     if not names:
-        for field in dataclasses.fields(texture):
-            if getattr(texture, field.name) != field.default:
-                raise ValueError(
-                    f"{field.name}: is of textures, expected one among the unknowns, "
-                    f"such as {TEXTURED[1]}{TEXTURE}"
-                )
+        refuse(
+            texture,
+            "texture_size separate smoothness",
+            "is of textures, expected one among the unknowns, such as "
+            f"{TEXTURED[1]}{TEXTURE}",
+        )
         return {}
-    for field in dataclasses.fields(unknown):
-        if field.name not in FITTED and getattr(unknown, field.name) != field.default:
-            raise ValueError(f"{field.name}: expected none with textures")
+    others = "per_image bounds fixed ties priors"
+    refuse(unknown, others, "expected none with textures")
     if fitting.loss != "linear":
         raise ValueError(f"loss: expected linear with textures, got {fitting.loss}")
     if texture.texture_size is None:
@@ -74,18 +74,13 @@ def arguments_for(
             "none"
         )
     size = texture.texture_size
-    known = None
-    if fitting.known is not None:
-        with naming("known"):
-            known = read_material(fitting.known).material
-    default = FitOptions().max_steps
-    steps = {} if fitting.max_steps == default else {"max_steps": fitting.max_steps}
+    steps = {"max_steps": fitting.max_steps} if "max_steps" in changed(fitting) else {}
     return {
         "size": size if isinstance(size, str) else size[::-1],
         "textures": names,
         "unknowns": tuple(n for n in unknown.unknowns if not n.endswith(TEXTURE)),
         "per_channel": unknown.per_channel,
-        "known": known,
+        "known": known_material(fitting.known),
         "separate": texture.separate,
         "smoothness": texture.smoothness,
         "noise": fitting.noise,

@@ -86,9 +86,14 @@ def find_views(
     return Views(
         [ImageRecord(file=name) for name in names],
         list(found.values()),
-        Film(film.clamp, film.encoding, film.bits),
+        unrounded(film),
         told,
     )
+
+
+def unrounded(film: Film) -> Film:
+    """A film of photographs without JPEG, which each file states for itself."""
+    return Film(film.clamp, film.encoding, film.bits)
 
 
 def _exposed(relative: Sequence[float]) -> list[str]:

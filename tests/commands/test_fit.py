@@ -320,7 +320,7 @@ def test_a_fit_goes_to_other_programs(fitted, tmp_path):
         (["--noise", "nan"], "noise: expected ... got nan"),
         (["--max-steps", "0"], "max_steps: expected ... got 0"),
         (["--unknowns", "colour"], "unknowns: expected one of ambient"),
-        (["--scene", "scene.json"], "is a folder, which says this itself"),
+        (["--scene", "scene.json"], "is a data set, which says this itself"),
         (["--loss", "l2"], "--loss"),
         (["--like", "no.json"], "no.json: cannot be read"),
     ],
