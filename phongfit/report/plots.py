@@ -1,5 +1,6 @@
 """Figures of a fit, for `fit.plot()` and similar methods."""
 
+import dataclasses
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -11,7 +12,16 @@ from phongfit.fitting.result import Fit
 from phongfit.fitting.uncertainty.convergence import Convergence
 from phongfit.report.pictures import Row, Title, comparison, draw_residual
 from phongfit.report.residuals import draw_against_level, draw_blocks, draw_histogram
-from phongfit.report.style import ACCENT, INK, SIGNED, picture, quiet, styled
+from phongfit.report.style import (
+    ACCENT,
+    INK,
+    SIGNED,
+    picture,
+    quiet,
+    say,
+    scale,
+    styled,
+)
 from phongfit.report.words import as_tuple
 
 MOST_IMAGES = 4
@@ -55,18 +65,25 @@ def plot(fit: Fit, names: Sequence[Title] = (), most: int = MOST_IMAGES) -> Figu
 
     **Raises:** `ValueError` if there are names, but not one for each image.
     """
+    return compared(rows_of(fit, names, most))
+
+
+def rows_of(fit: Fit, names: Sequence[Title], most: int = MOST_IMAGES) -> list[Row]:
+    """Some images of a fit; arguments and errors are those of [`plot`][]."""
     every = names_of(fit, names)
+    target, fitted, left = map(as_tuple, (fit.photographs, fit.fitted, fit.residuals))
     images = chosen(fit.n_images, most)
-    photographs, fitted, left = (
-        as_tuple(some) for some in (fit.photographs, fit.fitted, fit.residuals)
-    )
-    factor = brightening(photographs[k] for k in images)
+    return [Row(target[k], fitted[k], left[k], every[k]) for k in images]
+
+
+def compared(rows: Sequence[Row]) -> Figure:
+    """A figure of photograph, fit and residual; dark photographs are brightened."""
+    factor = brightening(row.target for row in rows)
     brighter = f"  (shown {factor:.2g} × brighter)" if factor > 1 else ""
-    rows = [
-        Row(photographs[k], fitted[k], left[k], (every[k] + brighter).strip())
-        for k in images
+    titled = [
+        dataclasses.replace(row, title=f"{row.title}{brighter}".strip()) for row in rows
     ]
-    return comparison(rows, ("photograph", "fit"), brighten=factor)
+    return comparison(titled, ("photograph", "fit"), brighten=factor)
 
 
 def plot_residuals(fit: Fit) -> Figure:
@@ -120,17 +137,12 @@ def draw_correlations(axes: Axes, fit: Fit) -> None:
     quiet(axes)
     if len(entries) < 2:
         words = "fewer than two unknowns are identified:\nthere is nothing to correlate"
-        axes.text(0.5, 0.5, words, ha="center", va="center", transform=axes.transAxes)
-        return
+        return say(axes, words)
     shown = axes.imshow(matrix, cmap=SIGNED, vmin=-1, vmax=1)
     axes.set_xticks(range(len(labels)), labels, rotation=90, fontsize=8)
     axes.set_yticks(range(len(labels)), labels, fontsize=8)
     axes.tick_params(length=0)
-    figure = axes.get_figure(root=True)
-    assert figure is not None
-    bar = figure.colorbar(shown, ax=axes, fraction=0.046, pad=0.02)
-    bar.set_label("correlation")
-    bar.ax.grid(False)
+    scale(axes, shown, "correlation")
     if len(labels) <= 12:
         for (row, column), value in np.ndenumerate(matrix):
             colour = "white" if abs(value) > 0.6 else INK

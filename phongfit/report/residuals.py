@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 
 from phongfit.fitting.problem.problem import evaluate
 from phongfit.fitting.result import Fit
-from phongfit.report.style import CHANNELS, INK, PALE, SIGNED, quiet
+from phongfit.report.style import CHANNELS, INK, PALE, SIGNED, quiet, say, scale
 
 WIDEST = 5.0
 """Limits of histograms, in standard deviations."""
@@ -93,16 +93,10 @@ def draw_blocks(axes: Axes, fit: Fit, image: int) -> None:
     quiet(axes)
     misfit = fit.misfit
     if not misfit.maps:
-        words = "nothing but rounding\nis left over"
-        axes.text(0.5, 0.5, words, ha="center", va="center", transform=axes.transAxes)
-        return
+        return say(axes, "nothing but rounding\nis left over")
     found = misfit.maps[image]
     # Scale of at least WIDEST, so that pure noise is pale.
     most = max(WIDEST, *(float(np.abs(one).max()) for one in misfit.maps))
     shown = axes.imshow(found, cmap=SIGNED, vmin=-most, vmax=most)
     axes.set_title(f"sums of {misfit.side} × {misfit.side} pixels")
-    figure = axes.get_figure(root=True)
-    assert figure is not None
-    bar = figure.colorbar(shown, ax=axes, fraction=0.046, pad=0.02)
-    bar.set_label("σ of independent noise")
-    bar.ax.grid(False)
+    scale(axes, shown, "σ of independent noise")

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from phongfit.report.pictures import displayed
-from phongfit.report.style import picture, quiet, styled
+from phongfit.report.style import picture, quiet, say, scale, styled
 
 TITLES = {
     "ambient": "ambient ρ_a",
@@ -92,20 +92,15 @@ def draw_scale(
     shown = np.where(identified & np.isfinite(numbers), numbers, np.nan)
     if np.isnan(shown).all():
         axes.imshow(np.full((*numbers.shape, 3), float(UNIDENTIFIED)))
-        words = "no pixel identifies it"
-        axes.text(0.5, 0.5, words, ha="center", va="center", transform=axes.transAxes)
-        return
+        return say(axes, "no pixel identifies it")
     low, high = np.nanquantile(shown, [0.005, 0.995])
     options: dict[str, Any] = {"vmin": low, "vmax": max(high, low + 1e-12)}
     if low > 0 and (logarithmic or high > 20 * low):
         options = {"norm": LogNorm(low, max(high, 1.01 * low))}
     axes.set_facecolor(UNIDENTIFIED)
     drawn = axes.imshow(shown, cmap="viridis", interpolation="nearest", **options)
-    figure = axes.get_figure(root=True)
-    assert figure is not None
-    bar = figure.colorbar(drawn, ax=axes, fraction=0.046, pad=0.03)
+    bar = scale(axes, drawn)
     bar.ax.tick_params(which="both", labelsize=7)
-    bar.ax.grid(False)
     if "norm" in options:
         _plain_ticks(bar.ax.yaxis, few=bool(high < 100 * low))
 
