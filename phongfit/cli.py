@@ -5,7 +5,6 @@ import contextlib
 import dataclasses
 import difflib
 import functools
-import importlib
 import importlib.metadata
 import inspect
 import io
@@ -20,6 +19,7 @@ from typing import Any, TypeVar
 
 import tyro
 
+from phongfit import commands
 from phongfit.files import budget
 
 COMMANDS = {
@@ -184,8 +184,7 @@ def _escape_unprintable() -> None:
 
 
 def _load(name: str) -> Callable[..., int | None]:
-    # Only this command is imported, since JAX and decoders take long to import.
-    return importlib.import_module(f"phongfit.commands.{name}").main
+    return getattr(commands, name).main
 
 
 def _overview(args: Sequence[str]) -> None:
@@ -209,15 +208,15 @@ def _overview(args: Sequence[str]) -> None:
 
     def general(version: bool, completion: str, max_memory: str) -> None: ...
 
-    commands = {name: named(summary) for name, summary in COMMANDS.items()}
-    _quietly(functools.partial(_subcommands, commands), args, general)
+    summaries = {name: named(summary) for name, summary in COMMANDS.items()}
+    _quietly(functools.partial(_subcommands, summaries), args, general)
 
 
 def _subcommands(
-    commands: dict[str, Callable[..., Any]], args: Sequence[str] | None
+    functions: dict[str, Callable[..., Any]], args: Sequence[str] | None
 ) -> Any:
     return tyro.extras.subcommand_cli_from_dict(
-        commands, prog="phongfit", description=ABOUT, args=args
+        functions, prog="phongfit", description=ABOUT, args=args
     )
 
 
@@ -228,8 +227,8 @@ def _complete(args: Sequence[str]) -> None:
         raise ValueError(
             f"{COMPLETION}: expected one of {', '.join(SHELLS)}, got {got}"
         )
-    commands = {name: _load(name) for name in COMMANDS}
-    _subcommands(commands, ["--tyro-print-completion", args[0]])
+    every = {name: _load(name) for name in COMMANDS}
+    _subcommands(every, ["--tyro-print-completion", args[0]])
 
 
 def _show_warning(message: Warning | str, *where: Any) -> None:

@@ -18,8 +18,13 @@ from tyro._errors import (
     on_parse_error as on_parse_error,
 )
 
-KINDS = {"FLOAT": "a number", "INT": "a whole number"}
-"""The parser's names of types, and plain words for them."""
+KINDS = {
+    "|FLOAT could": "a number",
+    "to float:": "a number",
+    "|INT could": "a whole number",
+    "int()": "a whole number",
+}
+"""Parts of the parser's messages, and plain words for the type that it expected."""
 
 
 def options_of(kind: Callable[..., Any]) -> set[str]:
@@ -56,14 +61,11 @@ def in_one_line(event: ParseErrorEvent, options: Collection[str]) -> str | None:
             words = f"{_named(argument)}: expected one of {', '.join(known)}, got"
             return f"{words} {got!r}{_hint(got, known)}"
         case InstantiationFailure(argument=argument, message=message) if argument:
-            got = " ".join(re.findall(r"'([^']*)'", message.partition("Got errors")[0]))
-            metavar = argument.lowered.metavar or "another value"
-            wanted = KINDS.get(metavar, metavar)
-            for kind, words in KINDS.items():
-                wanted = words if f"|{kind} could" in message else wanted
-            return (
-                f"{_named(argument)}: expected {wanted}, got {' '.join(got) or 'none'}"
-            )
+            message = message.partition("Got errors")[0]
+            got = " ".join(re.findall(r"'([^']*)'", message))
+            plain = (words for part, words in KINDS.items() if part in message)
+            wanted = next(plain, argument.lowered.metavar or "another value")
+            return f"{_named(argument)}: expected {wanted}, got {got or 'none'}"
     return None
 
 

@@ -17,7 +17,7 @@ from phongfit.commands.options import (
     read_lights,
     refuse,
 )
-from phongfit.commands.views import find_views, unrounded
+from phongfit.commands.views import EXPOSURES, UNKNOWNS, find_views, unrounded
 from phongfit.files.capture_data import (
     DIRECTION,
     START,
@@ -249,12 +249,6 @@ def _make_views(options: Options) -> _Made:
         images = [
             one.model_copy(update={"lights": [k]}) for k, one in enumerate(images)
         ]
-    if not (options.light or options.point_light or options.lights):
-        notes = [
-            f"no light is given: a distant one is taken, from {START} in the mesh's "
-            "axes; a fit finds it with --unknowns ambient diffuse specular shininess "
-            "scene.lights[0].direction"
-        ]
     scene = _scene(options, _read_mesh(options.mesh), views.cameras[0], lights)
     return _Made(scene, views.film, images, [*views.notes, *notes], views.cameras)
 
@@ -382,9 +376,8 @@ def _given_lights(options: Options) -> tuple[Sequence[AbstractLight], list[str]]
         return made, []
     if options.lights is None:
         return [DirectionalLight(START, intensity)], [
-            "no light is given: it is taken as from above the camera; a fit finds it "
-            "with --unknowns ambient diffuse specular shininess "
-            "scene.lights[0].direction"
+            f"no light is given: a distant one is taken, from {START}; a fit finds it "
+            f"with {UNKNOWNS} {DIRECTION}"
         ]
     if made:
         raise ValueError("lights: expected it or --light and --point-light")
@@ -415,8 +408,8 @@ def _lights_of(
     if not unknown:
         return lights, []
     return lights, [
-        "how strong the lamps are is not known: a fit finds it with --unknowns ambient "
-        "diffuse specular shininess exposure --fixed exposure[0]=1"
+        f"how strong the lamps are is not known: a fit finds it with {UNKNOWNS} "
+        f"{EXPOSURES}"
     ]
 
 

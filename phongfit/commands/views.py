@@ -16,6 +16,11 @@ from phongfit.rendering.film import Encoding, Film
 
 LISTED = 4
 
+UNKNOWNS = "--unknowns ambient diffuse specular shininess"
+"""The usual unknowns of a fit, to which notes add others."""
+
+EXPOSURES = "exposure --fixed exposure[0]=1"
+
 
 class Views(NamedTuple):
     """Images, cameras, film and notes of a data set from several places."""
@@ -102,8 +107,7 @@ def _exposed(relative: Sequence[float]) -> list[str]:
         return []
     return [
         f"exposures differ, from {low:.3g} to {high:.3g} of the first's: a fit finds "
-        "them with --unknowns ambient diffuse specular shininess exposure --fixed "
-        "exposure[0]=1"
+        f"them with {UNKNOWNS} {EXPOSURES}"
     ]
 
 

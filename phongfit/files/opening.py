@@ -87,7 +87,7 @@ def open_data(
             white=white,
         )
     if not path.is_dir():
-        if fov is not None:
+        if scene is not None and fov is not None:
             raise ValueError(f"fov: {scene} has the camera, expected no other")
         return _one_image(path, scene, known, white, mask)
     if lights is not None or not _is_dataset(path):

@@ -14,12 +14,14 @@ from phongfit.report.html import panel
 from phongfit.report.pictures import Row, displayed, draw_residual
 from phongfit.report.plots import (
     brightening,
+    draw_against_level,
+    draw_blocks,
     draw_convergence,
     draw_correlations,
+    draw_histogram,
     shown_unknowns,
 )
 from phongfit.report.profiles import difference_words, draw_profile
-from phongfit.report.residuals import draw_against_level, draw_blocks, draw_histogram
 from phongfit.report.style import picture, quiet
 from phongfit.report.words import listed
 
