@@ -158,7 +158,7 @@ def assumptions(fit: Fit) -> dict[str, str]:
 
 
 def scene_words(scenes: Sequence[Scene]) -> dict[str, str]:
-    """What is assumed of scenes, as names and values."""
+    """Assumptions that all scenes of a fit share, as names and values."""
     scene = scenes[0]
     kinds = sorted({type(light).__name__ for one in scenes for light in one.lights})
     lights = f"{len(scene.lights)} an image ({', '.join(kinds) or 'none'})"
