@@ -361,7 +361,7 @@ def _call(
 
 
 def _parsed(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function, or the only dataclass that it takes, whose fields are the options."""
+    """The function, or the single dataclass that it takes: fields become options."""
     hints = typing.get_type_hints(function)
     kinds = [hints.get(name) for name in inspect.signature(function).parameters]
     one = kinds[0] if len(kinds) == 1 else None
