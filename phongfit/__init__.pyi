@@ -32,6 +32,7 @@ from .files.lp import read_lp as read_lp, write_lp as write_lp
 from .files.mesh_saving import save_mesh as save_mesh
 from .files.meshes import load_mesh as load_mesh
 from .files.mtl import read_mtl as read_mtl, write_mtl as write_mtl
+from .files.opening import open_data as open_data
 from .files.photographs import read_photograph as read_photograph
 from .files.saved import load_fit as load_fit, save_fit as save_fit
 from .files.scenes import load_scene as load_scene, save_scene as save_scene

@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 
 import tyro
 
+from phongfit import commands
 from phongfit.files import budget
 
 COMMANDS = {
@@ -184,35 +185,7 @@ def _escape_unprintable() -> None:
 
 def _load(name: str) -> Callable[..., int | None]:
     """The function that runs a command."""
-    # Only this command is imported, since JAX and decoders take long to import.
-    match name:
-        case "synth":
-            from phongfit.commands import synth as command
-        case "render":
-            from phongfit.commands import render as command
-        case "fit":
-            from phongfit.commands import fit as command
-        case "maps":
-            from phongfit.commands import maps as command
-        case "relight":
-            from phongfit.commands import relight as command
-        case "view":
-            from phongfit.commands import view as command
-        case "calibrate":
-            from phongfit.commands import calibrate as command
-        case "response":
-            from phongfit.commands import response as command
-        case "scene":
-            from phongfit.commands import scene as command
-        case "predict":
-            from phongfit.commands import predict as command
-        case "export":
-            from phongfit.commands import export as command
-        case "lab":
-            from phongfit.commands import lab as command
-        case _:
-            raise AssertionError(f"{name} is none of COMMANDS")
-    return command.main
+    return getattr(commands, name).main
 
 
 def _overview(args: Sequence[str]) -> None:
@@ -234,15 +207,17 @@ def _overview(args: Sequence[str]) -> None:
         command.__doc__ = summary
         return command
 
-    commands = {name: named(summary) for name, summary in COMMANDS.items()}
-    _quietly(functools.partial(_subcommands, commands), args)
+    def general(version: bool, completion: str, max_memory: str) -> None: ...
+
+    summaries = {name: named(summary) for name, summary in COMMANDS.items()}
+    _quietly(functools.partial(_subcommands, summaries), args, general)
 
 
 def _subcommands(
-    commands: dict[str, Callable[..., Any]], args: Sequence[str] | None
+    functions: dict[str, Callable[..., Any]], args: Sequence[str] | None
 ) -> Any:
     return tyro.extras.subcommand_cli_from_dict(
-        commands, prog="phongfit", description=ABOUT, args=args
+        functions, prog="phongfit", description=ABOUT, args=args
     )
 
 
@@ -253,8 +228,8 @@ def _complete(args: Sequence[str]) -> None:
         raise ValueError(
             f"{COMPLETION}: expected one of {', '.join(SHELLS)}, got {got}"
         )
-    commands = {name: _load(name) for name in COMMANDS}
-    _subcommands(commands, ["--tyro-print-completion", args[0]])
+    every = {name: _load(name) for name in COMMANDS}
+    _subcommands(every, ["--tyro-print-completion", args[0]])
 
 
 def _show_warning(message: Warning | str, *where: Any) -> None:
@@ -343,41 +318,41 @@ def _parse(
     def parse(args: Sequence[str] | None) -> Callable[[], int | None]:
         return _call(function, functools.partial(tyro.cli, args=args, prog=prog))
 
-    return _quietly(parse, args)
+    return _quietly(parse, args, _parsed(function))
 
 
 def _quietly(
-    parse: Callable[[Sequence[str] | None], Result], args: Sequence[str] | None
+    parse: Callable[[Sequence[str] | None], Result],
+    args: Sequence[str] | None,
+    kind: Callable[..., Any],
 ) -> Result:
-    """Parse arguments; an error message of the parser becomes a `ValueError`."""
+    """Parse the options of `kind`; an error of the parser becomes a `ValueError`."""
+    from phongfit.commands.complaints import in_one_line, on_parse_error, options_of
+
     error_output = io.StringIO()
+
+    def complain(event: Any) -> None:
+        words = in_one_line(event, options_of(kind))
+        if words is not None:
+            raise ValueError(f"{words} (see --help)")
+
     try:
-        with contextlib.redirect_stderr(error_output):
+        with on_parse_error(complain), contextlib.redirect_stderr(error_output):
             return parse(args)
     except SystemExit as stop:
         if stop.code in (0, None):
             raise
-        from phongfit.commands.complaints import OPTION, in_one_line
-
-        text = io.StringIO()
-        with contextlib.suppress(SystemExit), contextlib.redirect_stdout(text):
-            parse(["--help"])
-        words = in_one_line(
-            error_output.getvalue(), set(OPTION.findall(text.getvalue()))
-        )
-        raise ValueError(f"{words} (see --help)") from None
+        raise ValueError(f"{error_output.getvalue()} (see --help)") from None
 
 
 def _call(
     function: Callable[..., int | None], parse: Callable[..., Any]
 ) -> Callable[[], int | None]:
     """A call of a command's function, with arguments that `parse` reads."""
-    about = inspect.getdoc(function)
-    hints = typing.get_type_hints(function)
-    kinds = [hints.get(name) for name in inspect.signature(function).parameters]
-    if len(kinds) == 1 and dataclasses.is_dataclass(kinds[0]):
+    about, kind = inspect.getdoc(function), _parsed(function)
+    if kind is not function:
         # The dataclass itself is parsed: options are named --bits, not --options.bits.
-        return functools.partial(function, parse(kinds[0], description=about))
+        return functools.partial(function, parse(kind, description=about))
 
     # The call is deferred: the parser would report its errors as wrong options.
     @functools.wraps(function)
@@ -385,3 +360,11 @@ def _call(
         return functools.partial(function, *args, **kwargs)
 
     return parse(later, description=about)
+
+
+def _parsed(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function, or the single dataclass that it takes: fields become options."""
+    hints = typing.get_type_hints(function)
+    kinds = [hints.get(name) for name in inspect.signature(function).parameters]
+    one = kinds[0] if len(kinds) == 1 else None
+    return typing.cast(type, one) if dataclasses.is_dataclass(one) else function

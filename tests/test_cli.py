@@ -1,7 +1,5 @@
 """The shell around all commands."""
 
-import io
-import sys
 import warnings
 from dataclasses import dataclass
 
@@ -70,18 +68,15 @@ def test_bad_options(args, words, capsys):
         ("fit x -o y --noise a", "--noise: expected a number, got a"),
         ("fit x -o y --loss tuky", "tukey, got 'tuky'; did you mean tukey?"),
         ("export a -o b --to x", "--to: expected one of"),
-        ("ft", "there is no command 'ft'; did you mean 'fit'?"),
+        ("", "expected one of synth, calibrate, response, scene, "),
+        ("ft", "there is no command 'ft'; did you mean 'fit'? (see --help)"),
+        ("zzz", "there is no command 'zzz'; one of synth, calibrate"),
         ("--vrsion", "there is no option --vrsion; did you mean --version?"),
         ("--completion fish", "--completion: expected one of bash, zsh, got fish"),
     ],
 )
-@pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
-def test_one_short_line_for_bad_options(line, words, encoding, capsys, monkeypatch):
-    # The parser draws its frames with what the terminal has.
-    output = io.TextIOWrapper(io.BytesIO(), encoding)
-    monkeypatch.setattr(sys, "stdout", output)
+def test_one_short_line_for_bad_options(line, words, capsys):
     assert cli.main(line.split()) == 2
-    monkeypatch.undo()
     _check_error(capsys, words)
 
 

@@ -50,6 +50,7 @@ from phongfit.calibration.spheres import (
     cut_out,
     find_spheres,
     looked_at,
+    names_of,
     place_sphere,
 )
 from phongfit.codes import coded
@@ -107,7 +108,7 @@ def calibrate(
     **Raises:** `ValueError` that names the argument, or what is missing in photographs.
     """
     photographs = _several(photographs)
-    names = _names(photographs, names)
+    names = names_of(photographs, names)
     height, width = next(looked_at(photographs, names)).shape[:2]
     view = View(width, height, _positive("fov", fov, 180) if fov is not None else None)
     radius = _positive("sphere_radius", sphere_radius)
@@ -144,17 +145,6 @@ def _several(photographs: Any) -> Images:
     raise ValueError(
         f"photographs: expected a list of images, got {shown(photographs)}"
     )
-
-
-def _names(photographs: Images, names: Sequence[str] | None) -> tuple[str, ...]:
-    count = len(photographs)
-    if count == 0:
-        raise ValueError("photographs: expected at least one, got none")
-    if names is None:
-        return tuple(f"photograph {number}" for number in range(1, count + 1))
-    if len(names) != count:
-        raise ValueError(f"names: expected {count}, one a photograph, got {len(names)}")
-    return tuple(names)
 
 
 def _positive(name: str, value: float, below: float = np.inf) -> float:
@@ -482,22 +472,20 @@ def _result(
     errors = np.sqrt(np.diag(covariance))
     places, intensity = values[:-1].reshape(2, count, 3)
     intensity_error = errors[3 * count : -1].reshape(count, 3)
-    lamps = []
-    for number in range(count):
-        own = slice(3 * number, 3 * number + 3)
-        turns = np.trace(joint[own, own][:2, :2])
-        lamps.append(
-            Lamp(
-                setup.names[kept[number]],
-                estimate.directions[number],
-                places[number] if near else None,
-                covariance[own, own],
-                float(np.degrees(np.sqrt(turns))),
-                np.where(known[number], intensity[number], np.nan),
-                np.where(known[number], intensity_error[number], np.nan),
-                pixels[number],
-            )
-        )
+    own = [slice(3 * number, 3 * number + 3) for number in range(count)]
+    turns = [np.trace(joint[lamp, lamp][:2, :2]) for lamp in own]
+    rows = zip(
+        [setup.names[number] for number in kept],
+        estimate.directions,
+        places if near else [None] * count,
+        [covariance[lamp, lamp] for lamp in own],
+        np.degrees(np.sqrt(turns)).tolist(),
+        np.where(known, intensity, np.nan),
+        np.where(known, intensity_error, np.nan),
+        pixels,
+        strict=True,
+    )
+    lamps = [Lamp(*row) for row in rows]
     # Chrome spheres come first, and a matte one may follow.
     place = estimate.place
     outlines = [*estimate.outlines, *([] if place is None else [place.outline])]

@@ -9,13 +9,18 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from phongfit.fitting.problem.losses import Tukey
 from phongfit.programs import compiler_options
 
 TUKEY = Tukey().k
 """Residuals from this many standard deviations on have weight 0."""
+
+
+BLOCK = 16
+"""Side of squares in which errors of pixels are correlated, as in JPEG's chroma blocks.
+"""
 
 
 class Solution(NamedTuple):
@@ -125,3 +130,28 @@ def summed_by_block(
     sums = np.zeros((group.max() + 1, scores.shape[1]))
     np.add.at(sums, group, scores)
     return sums
+
+
+def blocks(height: int, width: int) -> Int[np.ndarray, "height width"]:
+    """The number of each pixel's block of correlated errors."""
+    rows, columns = np.mgrid[:height, :width] // BLOCK
+    return rows * (width // BLOCK + 1) + columns
+
+
+def thinned(
+    mask: Bool[np.ndarray, "height width"], most: int
+) -> Bool[np.ndarray, "height width"]:
+    """An even sample of about `most` pixels of a mask."""
+    stride = max(1, round(np.sqrt(mask.sum() / most)))
+    kept = np.zeros_like(mask)
+    kept[::stride, ::stride] = True
+    return mask & kept
+
+
+def clamped_mean(light: Any, sigma: float) -> Any:
+    """Mean of noisy light after the clamp at black."""
+    from scipy.special import ndtr
+
+    ratio = light / sigma
+    density = np.exp(-(ratio**2) / 2) / np.sqrt(2 * np.pi)
+    return light * ndtr(ratio) + sigma * density

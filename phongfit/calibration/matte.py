@@ -19,10 +19,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from phongfit.calibration.least_squares import (
+    blocks,
+    clamped_mean,
     compiled,
     differentiated,
     robust_scale,
     summed_by_block,
+    thinned,
     tukey_weight,
 )
 from phongfit.calibration.outlines import View, seen, unit
@@ -52,10 +55,6 @@ MOST = 4000
 
 EVEN = 0.002
 """Smallest relative error of a strength, from unevenness of the sphere's paint."""
-
-BLOCK = 16
-"""Side of squares in which errors of pixels are correlated, as in JPEG's chroma blocks.
-"""
 
 DRAWS = 32
 """Number of simulated roundings of files, for a covariance with about 20 % error."""
@@ -225,11 +224,11 @@ def points_on(
     rows, columns = np.mgrid[:height, :width]
     pixels = np.stack([columns, rows], axis=-1) + 0.5 + corner
     inside = np.linalg.norm(pixels - outline[:2], axis=-1) < WITHIN * outline[2]
-    stride = max(1, round(np.sqrt(inside.sum() / MOST)))
-    inside &= (rows % stride == 0) & (columns % stride == 0)
-    block = (rows // BLOCK) * (width // BLOCK + 1) + columns // BLOCK
+    inside = thinned(inside, MOST)
     white = ndimage.maximum_filter(light >= WHITE, (1, 3, 3, 1))[:, inside]
-    return Points(pixels[inside], block[inside], light[:, inside], white)
+    return Points(
+        pixels[inside], blocks(height, width)[inside], light[:, inside], white
+    )
 
 
 def overexposed(points: Points) -> Bool[np.ndarray, " count"]:
@@ -297,12 +296,9 @@ def room_light(
 def _unclipped(mean: float, sigma: float) -> float:
     """Light that gives this mean after noise and the clamp at 0; 0 if none does."""
     from scipy import optimize
-    from scipy.special import ndtr
 
     def excess(light: float) -> float:
-        ratio = light / max(sigma, 1e-12)
-        density = np.exp(-(ratio**2) / 2) / np.sqrt(2 * np.pi)
-        return light * ndtr(ratio) + sigma * density - mean
+        return clamped_mean(light, max(sigma, 1e-12)) - mean
 
     if excess(0) >= 0:
         return 0.0

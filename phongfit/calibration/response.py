@@ -37,13 +37,16 @@ from jaxtyping import Bool, Float, Int
 
 from phongfit.calibration.least_squares import (
     TUKEY,
+    blocks,
+    clamped_mean,
     differentiated,
     least_squares,
     robust_scale,
     summed_by_block,
+    thinned,
     tukey_weight,
 )
-from phongfit.calibration.spheres import Images, looked_at
+from phongfit.calibration.spheres import Images, looked_at, names_of
 from phongfit.codes import coded
 from phongfit.edge import checked
 from phongfit.rendering.film import ENCODINGS, NamedEncoding, decode
@@ -76,9 +79,6 @@ FACING = 0.3
 
 MOST = 1500
 """Approximate number of pixels used: errors of more would be correlated."""
-
-BLOCK = 16
-"""Side of squares in which errors of pixels are correlated, as in blocks of JPEG."""
 
 STIFF = 1e4
 """Initial factor on the weight of the curve's smoothness."""
@@ -195,10 +195,10 @@ def fit_response(
             "scenes: expected it or exposures, got "
             + ("neither" if scenes is None else "both")
         )
-    names = names or [f"photograph {number}" for number in range(1, count + 1)]
+    names = names_of(photographs, names)
     given = scenes if scenes is not None else exposures
     assert given is not None
-    if len(given) != count or count == 0:
+    if len(given) != count:
         what = "scenes" if scenes is not None else "exposures"
         raise ValueError(
             f"{what}: expected {count}, one a photograph, got {len(given)}"
@@ -241,19 +241,6 @@ def _positive(exposures: Any) -> Float[np.ndarray, " n"]:
     return found / found.mean()
 
 
-def _thinned(mask: Bool[np.ndarray, "height width"]) -> np.ndarray:
-    """An even sample of the pixels in a mask."""
-    stride = max(1, round(np.sqrt(mask.sum() / MOST)))
-    kept = np.zeros_like(mask)
-    kept[stride // 2 :: stride, stride // 2 :: stride] = True
-    return mask & kept
-
-
-def _blocks(mask: Bool[np.ndarray, "height width"]) -> Int[np.ndarray, " pixels"]:
-    rows, columns = np.nonzero(mask)
-    return (rows // BLOCK) * (mask.shape[1] // BLOCK + 1) + columns // BLOCK
-
-
 def _numbers(
     photographs: Images, names: Sequence[str], mask: Any, size: tuple[int, int]
 ) -> Float[np.ndarray, "count pixels 3"]:
@@ -288,7 +275,7 @@ def _of_surface(
     used = np.asarray(seen.mask) & (facing > FACING)
     if mask is not None:
         used &= _as_mask(mask, used.shape)
-    used = _thinned(used)
+    used = thinned(used, MOST)
     numbers = _numbers(photographs, names, used, used.shape)
     normals, points = np.asarray(seen.normal)[used], np.asarray(seen.position)[used]
     cosines = np.zeros(numbers.shape[:2])
@@ -298,7 +285,7 @@ def _of_surface(
         cosines[number] = np.sum(normals * np.asarray(light.to_light), axis=-1)
         strength = np.asarray(light.intensity)
         shares[number] = np.maximum(cosines[number], 0)[:, None] * strength
-    block = _blocks(used)
+    block = blocks(*used.shape)[used]
     block = np.arange(len(numbers))[:, None] * (block.max() + 1) + block
     lit = (cosines[..., None] > LIT) & (numbers > DARKEST) & (numbers < BRIGHTEST)
     if lit.sum() < 50 * SPLINES:
@@ -330,7 +317,7 @@ def _of_exposures(
 ) -> _Samples:
     size = np.shape(photographs[0])[:2]
     used = np.ones(size, bool) if mask is None else _as_mask(mask, size)
-    used = _thinned(used)
+    used = thinned(used, MOST)
     numbers = _numbers(photographs, names, used, (size[0], size[1]))
     seen = (numbers > DARKEST) & (numbers < BRIGHTEST)
     # A pixel that is usable in a single photograph has no information.
@@ -343,7 +330,7 @@ def _of_exposures(
     pixel, _ = np.nonzero(several)
     number = numbers[:, several].T
     share = np.broadcast_to(exposures, number.shape)
-    block = np.broadcast_to(_blocks(used)[pixel, None], number.shape)
+    block = np.broadcast_to(blocks(*used.shape)[used][pixel, None], number.shape)
     return _Samples(number, share, block, np.ones(number.shape, bool), False)
 
 
@@ -352,15 +339,6 @@ def _as_mask(mask: Any, size: tuple[int, ...]) -> Bool[np.ndarray, "height width
     if found.shape != tuple(size):
         raise ValueError(f"mask: expected shape {tuple(size)}, got {found.shape}")
     return found
-
-
-def _raised(number: np.ndarray, sigma: float) -> np.ndarray:
-    """Increase of the mean of noisy numbers by the clamp at black."""
-    from scipy.special import ndtr
-
-    at = number / sigma
-    density = np.exp(-(at**2) / 2) / np.sqrt(2 * np.pi)
-    return sigma * (density - at * ndtr(-at))
 
 
 @functools.cache
@@ -523,7 +501,7 @@ def _solve(
         # Shadows are excluded, since the clamp at black may cut off half of them.
         lost = np.sqrt(np.count_nonzero(lit) / _freedom(samples, lit))
         sigma = max(robust_scale(rest[lit & (samples.share > 0)]) * lost, 1e-5)
-        number = samples.number - _raised(expected, sigma)
+        number = samples.number + expected - clamped_mean(expected, sigma)
         # The first curves are too far off to identify outliers.
         tukey = tukey_weight(number - expected, sigma) if step >= ROUNDS // 2 else 1.0
         rise = np.interp(np.maximum(expected, DARKEST), GRID, np.gradient(light, GRID))

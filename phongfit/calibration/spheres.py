@@ -63,6 +63,18 @@ class Crop(NamedTuple):
         return outline - np.append(self.corner, 0)
 
 
+def names_of(photographs: Images, names: Sequence[str] | None) -> tuple[str, ...]:
+    """A name for each photograph: those given, or its number."""
+    count = len(photographs)
+    if count == 0:
+        raise ValueError("photographs: expected at least one, got none")
+    if names is None:
+        return tuple(f"photograph {number}" for number in range(1, count + 1))
+    if len(names) != count:
+        raise ValueError(f"names: expected {count}, one a photograph, got {len(names)}")
+    return tuple(names)
+
+
 def looked_at(
     photographs: Images, names: Sequence[str]
 ) -> Iterator[Float[np.ndarray, "height width 3"]]:

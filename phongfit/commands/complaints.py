@@ -1,108 +1,89 @@
-"""One-line messages on wrong options, from the parser's boxed output."""
+"""One-line messages on wrong options, from the parser's account of what is wrong."""
 
+import dataclasses
 import difflib
 import re
-from collections.abc import Collection, Iterator
+import typing
+from collections.abc import Callable, Collection
+from typing import Any
 
-OPTION = re.compile(r"(?<![\w-])--[a-z][\w-]*")
-
-OPENINGS = (
-    "Unrecognized options",
-    "Missing from",
-    "Missing value",
-    "invalid choice",
-    "Error parsing",
+# Not public, but with data in place of text in a box; other events keep tyro's words.
+from tyro._errors import (
+    BadValue,
+    InstantiationFailure,
+    InvalidChoice,
+    MissingArgs,
+    ParseErrorEvent,
+    UnrecognizedArgs,
+    on_parse_error as on_parse_error,
 )
-"""Beginnings of the parser's error messages."""
 
-KINDS = {"FLOAT": "a number", "INT": "a whole number", "int()": "a whole number"}
-"""The parser's names of types, and plain words for them."""
+KINDS = {
+    "|FLOAT could": "a number",
+    "to float:": "a number",
+    "|INT could": "a whole number",
+    "int()": "a whole number",
+}
+"""Parts of the parser's messages, and plain words for the type that it expected."""
 
 
-def in_one_line(box: str, options: Collection[str]) -> str:
-    """An error message of tyro, without frame and without repeated help.
+def options_of(kind: Callable[..., Any]) -> set[str]:
+    """All options of a function, or of a dataclass and those within it."""
+    names = set()
+    for name, hint in typing.get_type_hints(kind).items():
+        if dataclasses.is_dataclass(hint):
+            names |= options_of(typing.cast(type, hint))
+        elif name != "return":
+            names.add("--" + name.replace("_", "-"))
+    return names
 
-    **Arguments:**
 
-    - `box`: tyro's output.
-    - `options`: all known options, such as `--noise`, to suggest a correct spelling.
+def in_one_line(event: ParseErrorEvent, options: Collection[str]) -> str | None:
+    """A message on wrong options; `None` for an event that tyro itself explains.
+
+    **Arguments:** `options`: all known options, such as `--noise`, to suggest a correct
+    spelling.
     """
-    parts = list(_parts(box))
-    # If frames are drawn with dashes, the title is a separate part.
-    opening = (k for k, part in enumerate(parts) if part[0].startswith(OPENINGS))
-    parts = parts[next(opening, 0) :]
-    words = " ".join(parts[0]) if parts else ""
-    for part in parts:
+    match event:
         # Unknown options come first: a missing option may just be misspelt.
-        if part[0].startswith("Unrecognized options:"):
-            return _unknown(" ".join(part).partition(":")[2], options)
-    if words.startswith("Missing from"):
-        return _missing(parts)
-    if words.startswith("Missing value for argument"):
-        return f"{_quoted(words)}: expected a value, got none"
-    if words.startswith("invalid choice"):
-        return _choice(words)
-    if words.startswith("Error parsing"):
-        return _value(words, parts)
-    return words.removesuffix(".")
+        case (
+            UnrecognizedArgs(tokens=[*words])
+            | MissingArgs(unrecognized_tokens=[*words])
+        ) if words:
+            return _unknown(words, options)
+        case MissingArgs(missing_arguments=missing):
+            names = [_named(one.arg, with_value=True) for one in missing]
+            return f"expected {' and '.join(names)}, got none"
+        case BadValue(argument=argument):
+            return f"{_named(argument)}: expected a value, got none"
+        case InvalidChoice(argument=argument, value=got, choices=choices):
+            known = [word for word in choices if word != "None"]
+            words = f"{_named(argument)}: expected one of {', '.join(known)}, got"
+            return f"{words} {got!r}{_hint(got, known)}"
+        case InstantiationFailure(argument=argument, message=message) if argument:
+            message = message.partition("Got errors")[0]
+            got = " ".join(re.findall(r"'([^']*)'", message))
+            plain = (words for part, words in KINDS.items() if part in message)
+            wanted = next(plain, argument.lowered.metavar or "another value")
+            return f"{_named(argument)}: expected {wanted}, got {got or 'none'}"
+    return None
 
 
-def _parts(box: str) -> Iterator[list[str]]:
-    """Groups of lines between a box's horizontal rules, without its frame."""
-    part: list[str] = []
-    for line in re.sub(r"\x1b\[[0-9;]*m", "", box).splitlines():
-        text = line.strip().strip("│|").strip()
-        # Terminals without line-drawing characters get frames of dashes.
-        if text.startswith(("╭", "╰")) or text.endswith(("───", "---")):
-            if part:
-                yield part
-            part = []
-        elif text:
-            part.append(text)
-    if part:
-        yield part
+def _named(argument: Any, with_value: bool = False) -> str:
+    metavar = argument.lowered.metavar
+    if argument.is_positional():
+        return metavar
+    flags = argument.lowered.name_or_flags
+    return f"{flags[0]} {metavar}" if with_value else flags[-1]
 
 
-def _unknown(words: str, options: Collection[str]) -> str:
-    names = [word for word in re.split(r"[,\s]+", words) if word]
-    name = next((word for word in names if word.startswith("-")), None)
+def _unknown(words: Collection[str], options: Collection[str]) -> str:
+    name = next((word for word in words if word.startswith("-")), None)
     if name is None:
-        return f"expected no more words, got {' '.join(names)}"
-    near = difflib.get_close_matches(name.partition("=")[0], options, n=1)
-    hint = f"; did you mean {near[0]}?" if near else ""
-    return f"there is no option {name}{hint}"
+        return f"expected no more words, got {' '.join(words)}"
+    return f"there is no option {name}{_hint(name.partition('=')[0], options)}"
 
 
-def _missing(parts: list[list[str]]) -> str:
-    """A message with the names of missing options, without their help."""
-    # Positional arguments appear as a metavar in capitals; other lines are help.
-    names = []
-    for line in parts[0][1:]:
-        if line.startswith("-"):
-            names.append(line.partition(", --")[0])
-        elif line.isupper():
-            names.append(line)
-    return f"expected {' and '.join(names)}, got none"
-
-
-def _choice(words: str) -> str:
-    got, option = re.findall(r"'([^']*)'", words)[:2]
-    known = re.findall(r"'([^']*)'", words.partition("Expected one of")[2])
-    known = [word for word in known if word != "None"]
-    near = difflib.get_close_matches(got, known, n=1)
-    hint = f"; did you mean {near[0]}?" if near else ""
-    return f"{option}: expected one of {', '.join(known)}, got {got!r}{hint}"
-
-
-def _value(words: str, parts: list[list[str]]) -> str:
-    option, _, said = words.removeprefix("Error parsing ").partition(": ")
-    got = re.findall(r"'([^']*)'", said.partition("Got errors")[0])
-    metavar = parts[1][1].partition(" ")[2] if len(parts) > 1 else ""
-    found = re.search(r"(?:\|(FLOAT|INT) could|(int\(\)))", said)
-    wanted = KINDS[found[1] or found[2]] if found else metavar or "another value"
-    return f"{option}: expected {wanted}, got {' '.join(got) or 'none'}"
-
-
-def _quoted(words: str) -> str:
-    """The long name of the option in quotation marks."""
-    return words.split("'")[1].rpartition("/")[2]
+def _hint(word: str, known: Collection[str]) -> str:
+    near = difflib.get_close_matches(word, known, n=1)
+    return f"; did you mean {near[0]}?" if near else ""

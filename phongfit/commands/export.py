@@ -1,18 +1,17 @@
 """`phongfit export`: a material for other programs."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Literal
 
 import numpy as np
 from tyro.conf import Positional, arg
 
 from phongfit.commands.fit import FIT_FILE
-from phongfit.commands.options import optional
+from phongfit.commands.options import OutFile, optional, refuse
 from phongfit.files.inputs import sparing
 from phongfit.files.limits import as_blinn
-from phongfit.files.materials import NamedMaterial, read_material, write_material
+from phongfit.files.materials import read_material, write_material
 from phongfit.files.mesh_saving import save_mesh
 from phongfit.files.mtl import write_mtl
 from phongfit.files.opengl import write_opengl
@@ -26,7 +25,7 @@ from phongfit.geometry.surfaces import AbstractSurface, Sphere
 from phongfit.maps.export import export_maps
 from phongfit.maps.folder import RECORD_FILE
 from phongfit.material import Material, stack_materials, unstack_materials
-from phongfit.reflectance import AbstractSpecular, BlinnPhong
+from phongfit.reflectance import BlinnPhong
 
 Target = Literal["mtl", "gltf", "usd", "json", "opengl", "obj", "ply", "stl"]
 
@@ -75,7 +74,7 @@ class Options:
     """
 
     fit: Annotated[Positional[str], arg(metavar="FIT")]
-    out: Annotated[Path, arg(aliases=["-o"], metavar="FILE")]
+    out: OutFile
     to: Annotated[Target | None, optional("mtl|gltf|usd|json|opengl|obj|ply|stl")] = (
         None
     )
@@ -110,10 +109,9 @@ def main(options: Options) -> int:
     """
     check_file(options.out)
     to = _target(options)
-    if options.scene is not None and to not in ("gltf", "usd"):
-        raise ValueError(
-            f"scene: expected none, since {to} holds no shape; gltf and usd do"
-        )
+    if to not in ("gltf", "usd"):
+        why = f"expected none, since {to} holds no shape; gltf and usd do"
+        refuse(options, "scene", why)
     try:
         with sparing(options.out):
             written = _export(options, to)
@@ -138,18 +136,39 @@ def _target(options: Options) -> Target:
 
 def _export(options: Options, to: Target) -> str:
     """Write the file and return a description of its contents."""
-    folder = Path(options.fit)
-    mesh = _mesh_in(folder)
-    if mesh is not None:
+    source = Path(options.fit)
+    mesh = source if source.is_file() else source / MESH_FILE
+    if mesh.is_file() and mesh.suffix.lower() in MESHES:
         return _export_mesh(mesh, options, to)
-    if not (folder / RECORD_FILE).is_file():
-        if to in ("obj", "ply", "stl") or options.surface:
-            raise ValueError(
-                f"{options.fit}: expected the folder of `phongfit maps` for a surface: "
-                "a material has none"
-            )
-        return _export_material(options, to)
-    _check_maps(folder, options, to)
+    if (source / RECORD_FILE).is_file():
+        return _export_maps(source, options, to)
+    if to in ("obj", "ply", "stl") or options.surface:
+        raise ValueError(
+            f"{options.fit}: expected the folder of `phongfit maps` for a surface: a "
+            "material has none"
+        )
+    return _export_material(options, to)
+
+
+def _export_mesh(mesh: Path, options: Options, to: Target) -> str:
+    """Convert a mesh with its materials and textures to another format."""
+    # Imported here, since SciPy takes long to import.
+    from phongfit.files.meshes import load_mesh
+
+    refuse(options, "scene surface distance", f"expected none, since {mesh} is a mesh")
+    if to not in ("gltf", "usd", "obj", "stl"):
+        raise ValueError(f"to: expected gltf, usd, obj or stl for a mesh, got {to}")
+    loaded = load_mesh(mesh)
+    save_mesh(options.out, *loaded, nearest=options.nearest)
+    return f"{mesh.name}, {len(loaded.names)} materials"
+
+
+def _export_maps(folder: Path, options: Options, to: Target) -> str:
+    if to not in ("mtl", "gltf", "obj", "ply", "stl"):
+        why = "" if to == "usd" else f": {to} holds one material"
+        wanted = "mtl, gltf, obj, ply or stl"
+        raise ValueError(f"to: expected {wanted} for maps, got {to}{why}")
+    refuse(options, "scene", "expected none, since maps lie on their picture")
     return export_maps(
         folder,
         options.out,
@@ -160,123 +179,54 @@ def _export(options: Options, to: Target) -> str:
     )
 
 
-def _mesh_in(source: Path) -> Path | None:
-    """Path of a mesh, given directly or by the folder of a fit of textures."""
-    if source.is_file() and source.suffix.lower() in MESHES:
-        return source
-    fitted = source / MESH_FILE
-    return fitted if fitted.is_file() else None
-
-
-def _export_mesh(mesh: Path, options: Options, to: Target) -> str:
-    """Convert a mesh with its materials and textures to another format."""
-    # Imported here, since SciPy takes long to import.
-    from phongfit.files.meshes import load_mesh
-
-    for name in ("scene", "surface", "distance"):
-        if getattr(options, name):
-            raise ValueError(f"{name}: expected none, since {mesh} is a mesh")
-    if to not in ("gltf", "usd", "obj", "stl"):
-        raise ValueError(f"to: expected gltf, usd, obj or stl for a mesh, got {to}")
-    loaded = load_mesh(mesh)
-    save_mesh(options.out, *loaded, nearest=options.nearest)
-    return f"{mesh.name}, {len(loaded.names)} materials"
-
-
-def _check_maps(folder: Path, options: Options, to: Target) -> None:
-    if to in ("json", "opengl"):
-        raise ValueError(
-            f"to: {to} holds one material, {folder} holds maps; mtl and gltf "
-            "know textures"
-        )
-    if to == "usd":
-        raise ValueError(f"to: expected mtl, gltf, obj, ply or stl for maps, got {to}")
-    if options.scene is not None:
-        raise ValueError("scene: expected none, since maps lie on their picture")
-
-
-class Job(NamedTuple):
-    """Materials to write, as given and converted to Blinn's, with names and options."""
-
-    names: list[str]
-    given: list[Material]
-    blinn: list[Material]
-    model: AbstractSpecular
-    to: Target
-    options: Options
-
-
 def _export_material(options: Options, to: Target) -> str:
-    source = Path(options.fit)
+    """Write one or several materials, converted to Blinn's model except for json."""
+    source, out, nearest = Path(options.fit), options.out, options.nearest
     is_fit = (source / FIT_FILE).is_file()
     if source.is_dir() and not is_fit:
         raise ValueError(f"{source}: holds neither a {FIT_FILE} nor a {RECORD_FILE}")
     read = read_material(str(source / FIT_FILE) if is_fit else options.fit)
-    _WRITERS[to](_job(read, options, to))
+    given, model = unstack_materials(read.material), read.model or BlinnPhong()
+    if to in ("json", "opengl") and len(given) != 1:
+        raise ValueError(
+            f"to: expected one material for {to}, got {len(given)}; mtl, gltf and usd "
+            "hold several"
+        )
+    name = " ".join(read.name.replace("#", " ").split()) or "material"
+    names = [name] if len(given) == 1 else [f"{name}-{k}" for k in range(len(given))]
+    if to == "json":
+        write_material(out, name, given[0], model)
+        return read.name
+    blinn = [as_blinn(one, model) for one in given]
+    if to == "mtl":
+        write_mtl(out, dict(zip(names, blinn, strict=True)), nearest=nearest)
+    elif to == "opengl":
+        write_opengl(out, name, blinn[0], nearest=nearest)
+    else:
+        _write_surface(options, to, names, blinn)
     return read.name
 
 
-def _job(read: NamedMaterial, options: Options, to: Target) -> Job:
-    given = unstack_materials(read.material)
-    model = read.model or BlinnPhong()
-    name = " ".join(read.name.replace("#", " ").split()) or "material"
-    names = [name] if len(given) == 1 else [f"{name}-{k}" for k in range(len(given))]
-    return Job(
-        names, given, [as_blinn(one, model) for one in given], model, to, options
-    )
-
-
-def _write_mtl(job: Job) -> None:
-    materials = dict(zip(job.names, job.blinn, strict=True))
-    write_mtl(job.options.out, materials, nearest=job.options.nearest)
-
-
-def _single(job: Job) -> str:
-    """The name of the only material, for formats that hold a single one."""
-    if len(job.given) != 1:
-        raise ValueError(
-            f"to: expected one material for {job.to}, got {len(job.given)}; "
-            "mtl, gltf and usd hold several"
-        )
-    return job.names[0]
-
-
-def _write_json(job: Job) -> None:
-    write_material(job.options.out, _single(job), job.given[0], job.model)
-
-
-def _write_opengl(job: Job) -> None:
-    name, nearest = _single(job), job.options.nearest
-    write_opengl(job.options.out, name, job.blinn[0], nearest=nearest)
-
-
-def _write_surface(job: Job) -> None:
+def _write_surface(
+    options: Options, to: Target, names: list[str], materials: list[Material]
+) -> None:
     """Write the scene's surface, or a sphere, with the materials."""
-    out, scene = job.options.out, job.options.scene
-    wanted = [suffix for suffix, to in BY_SUFFIX.items() if to == job.to]
+    out, scene = options.out, options.scene
+    wanted = [suffix for suffix, target in BY_SUFFIX.items() if target == to]
     if out.suffix.lower() not in wanted:
         raise ValueError(
             f"{out}: expected suffix {' or '.join(wanted)}, got {out.suffix!r}"
         )
     surface = Sphere() if scene is None else load_scene(scene).surface
-    count, material = len(job.blinn), job.blinn[0]
+    count, material = len(materials), materials[0]
     mesh = surface_mesh(surface, several=count > 1)
     if count != mesh.materials:
         raise ValueError(
             f"scene: expected {mesh.materials} materials for its surface, got {count}"
         )
     if count > 1:
-        material = stack_materials(job.blinn)
-    save_mesh(out, mesh, material, job.names, nearest=job.options.nearest)
-
-
-_WRITERS: dict[Target, Callable[[Job], None]] = {
-    "mtl": _write_mtl,
-    "gltf": _write_surface,
-    "usd": _write_surface,
-    "json": _write_json,
-    "opengl": _write_opengl,
-}
+        material = stack_materials(materials)
+    save_mesh(out, mesh, material, names, nearest=options.nearest)
 
 
 def surface_mesh(surface: AbstractSurface, several: bool) -> Mesh:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import shlex
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -11,21 +12,17 @@ from tyro.conf import OmitArgPrefixes
 
 from phongfit.commands.data import DataOptions, read_data, tell
 from phongfit.commands.keeping import keeping
-from phongfit.commands.loading import loading_lines
 from phongfit.commands.options import (
     FitOptions,
     OutFolder,
     UnknownOptions,
+    changed,
+    known_material,
     optional,
+    refuse,
     specification_of,
 )
 from phongfit.commands.progress import stage
-from phongfit.commands.textures import (
-    TextureOptions,
-    arguments_for,
-    as_settings,
-    draw,
-)
 from phongfit.files.dataset import Dataset
 from phongfit.files.fits import (
     DataRecord,
@@ -35,6 +32,7 @@ from phongfit.files.fits import (
     write_fit_record,
 )
 from phongfit.files.outputs import replacing, replacing_folder
+from phongfit.files.schema import describe_material
 from phongfit.files.texture_fits import (
     ARRAYS_FILE,
     MESH_FILE,
@@ -42,8 +40,10 @@ from phongfit.files.texture_fits import (
     save_texture_fit,
 )
 from phongfit.fitting.fit import fit
+from phongfit.fitting.problem.parameters import TEXTURE
 from phongfit.fitting.problem.specification import Specification, as_names
 from phongfit.fitting.result import Fit
+from phongfit.fitting.texels.result import TextureFit
 from phongfit.fitting.texture_fit import TEXTURED, fit_texture
 
 FIT_FILE = "fit.json"
@@ -53,6 +53,92 @@ OURS = (
     *(FIT_FILE, PICTURE_FILE, REPORT_FILE, RECORD_FILE, ARRAYS_FILE, MESH_FILE),
     *(f"{name}.png" for name in TEXTURED),
 )
+
+
+@dataclass(frozen=True)
+class TextureOptions:
+    """Textures among the unknowns, such as diffuse.texture or shininess.texture.
+
+    Args:
+        texture_size: Columns and rows of the textures of a mesh with uv, no finer than
+            the photographs; or the word vertices, for a number at each vertex.
+        separate: A texture for each material of the mesh. Default: one texture for
+            all.
+        smoothness: Prior standard deviation of the difference between neighbouring
+            texels, which blurs. Default: no such prior.
+    """
+
+    texture_size: Annotated[
+        tuple[int, int] | Literal["vertices"] | None, optional("W H|vertices")
+    ] = None
+
+    separate: bool = False
+
+    smoothness: Annotated[float | None, optional("SD")] = None
+
+
+def textures_among(unknowns: Sequence[str]) -> tuple[str, ...]:
+    """Parameters whose textures are among the unknowns."""
+    return tuple(n.removesuffix(TEXTURE) for n in unknowns if n.endswith(TEXTURE))
+
+
+def arguments_for(
+    unknown: UnknownOptions, fitting: FitOptions, texture: TextureOptions
+) -> dict[str, Any]:
+    """Keyword arguments of [`fit_texture`][], without the data.
+
+    **Raises:** `ValueError` that names the option.
+    """
+    names = textures_among(unknown.unknowns)
+    if not names:
+        refuse(
+            texture,
+            "texture_size separate smoothness",
+            "is of textures, expected one among the unknowns, such as "
+            f"{TEXTURED[1]}{TEXTURE}",
+        )
+        return {}
+    others = "per_image bounds fixed ties priors"
+    refuse(unknown, others, "expected none with textures")
+    if fitting.loss != "linear":
+        raise ValueError(f"loss: expected linear with textures, got {fitting.loss}")
+    if texture.texture_size is None:
+        raise ValueError(
+            "texture_size: expected columns and rows of the textures, or vertices, got "
+            "none"
+        )
+    size = texture.texture_size
+    steps = {"max_steps": fitting.max_steps} if "max_steps" in changed(fitting) else {}
+    return {
+        "size": size if isinstance(size, str) else size[::-1],
+        "textures": names,
+        "unknowns": tuple(n for n in unknown.unknowns if not n.endswith(TEXTURE)),
+        "per_channel": unknown.per_channel,
+        "known": known_material(fitting.known),
+        "separate": texture.separate,
+        "smoothness": texture.smoothness,
+        "noise": fitting.noise,
+        **steps,
+    }
+
+
+def as_settings(given: dict[str, Any]) -> dict[str, Any]:
+    """Settings of a fit of textures, for its record."""
+    known = given["known"]
+    return given | {"known": None if known is None else describe_material(known)}
+
+
+def draw(folder: Path, found: TextureFit, data: Dataset, command: str) -> None:
+    """Write pictures of the textures and of the photographs, and the report."""
+    # Imported here, since drawing takes long to import.
+    from phongfit.report.textures import draw_photographs, draw_texture, write_page
+
+    for name in found.names:
+        with replacing(folder / f"{name}.png") as picture:
+            draw_texture(found, name, data.scenes[0]).savefig(picture, dpi=130)
+    with replacing(folder / "comparison.png") as picture:
+        draw_photographs(found, data).savefig(picture, dpi=150)
+    write_page(folder / "report.html", found, data, command=command)
 
 
 @dataclass(frozen=True)
@@ -134,9 +220,7 @@ def main(options: Options) -> int:
 
 def _fit_textures(options: Options, given: dict[str, Any]) -> int:
     """Fit with texels among the unknowns."""
-    for name in ("like", "refine_lights"):
-        if getattr(options, name):
-            raise ValueError(f"{name}: expected none with textures")
+    refuse(options, "like refine_lights", "expected none with textures")
     may_replace = OURS.__contains__ if options.overwrite else None
     with replacing_folder(options.out, may_replace) as folder:
         data, read = read_data(options.data)
@@ -160,15 +244,11 @@ def _words(options: Options) -> list[str]:
     """The command that repeats a fit of textures, with all options that were given."""
     words = ["phongfit", "fit", str(options.data.dataset)]
     for group in (options.data, options.unknown, options.fitting, options.texture):
-        for field in dataclasses.fields(group):
-            value = getattr(group, field.name)
-            if field.name == "dataset" or value == field.default:
-                continue
-            words.append("--" + field.name.replace("_", "-"))
-            if isinstance(value, tuple):
-                words += map(str, value)
-            elif value is not True:
-                words.append(str(value))
+        for name, value in changed(group).items():
+            if name != "dataset":
+                words.append("--" + name.replace("_", "-"))
+                many = value if isinstance(value, tuple) else [value]
+                words += [str(one) for one in many if one is not True]
     return [*words, "-o", f"{options.out}-again"]
 
 
@@ -179,13 +259,10 @@ def _asked(
     if record is None:
         asked = specification_of(options.unknown, options.fitting)
         return asked, options.fitting.noise, options.data
-    for group in (options.unknown, options.fitting):
-        for field in dataclasses.fields(group):
-            if getattr(group, field.name) != field.default:
-                raise ValueError(
-                    f"{field.name}: expected this option or --like, which says it, got "
-                    "both"
-                )
+    for name in changed(options.unknown) | changed(options.fitting):
+        raise ValueError(
+            f"{name}: expected this option or --like, which says it, got both"
+        )
     settings, data = record.settings, options.data.like(record.data.reading)
     return settings.specification(), settings.noise, data
 
@@ -285,3 +362,17 @@ def _again(options: Options) -> str:
         words += [] if path is None else [f"--{name}", str(path)]
     like = str(options.out / FIT_FILE)
     return shlex.join([*words, "--like", like, "-o", f"{options.out}-again"])
+
+
+def loading_lines(options: DataOptions, names: Collection[str]) -> str:
+    """Python that reads the data and defines variables, such as `scene` and `image`."""
+    given = options.arguments.items()
+    first, *others = [repr(v) if n == "dataset" else f"{n}={v!r}" for n, v in given]
+    several = "scenes" in names
+    targets = "scenes, images, masks" if several else "(scene,), (image,), (mask,)"
+    lines = [
+        f"data = pf.open_data({', '.join([first, *others])}).load()",
+        f"{targets} = data.scenes, data.images, data.masks",
+    ]
+    lines += [f"{n} = data.{n}" for n in ("film", "uncertain") if n in names]
+    return "\n".join(lines)

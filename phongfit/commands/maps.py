@@ -353,7 +353,7 @@ def _settings(given: dict[str, Any]) -> MapSettings:
 def draw(folder: Path, found: Maps) -> None:
     """Write the pictures."""
     # Imported here, since drawing takes long to import.
-    from phongfit.report.maps import draw_flags, draw_parameter
+    from phongfit.report.scales import draw_flags, draw_parameter
 
     for name in found.unknowns:
         with replacing(folder / f"{name}.png") as picture:

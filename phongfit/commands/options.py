@@ -1,21 +1,28 @@
 """Options that commands share: unknowns, constraints and priors."""
 
+import dataclasses
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
+import numpy as np
 from tyro.conf import arg
 
+from phongfit.files.calibrations import load_calibration
 from phongfit.files.fits import LossName
 from phongfit.files.inputs import naming
+from phongfit.files.lp import read_lp
 from phongfit.files.materials import read_material
 from phongfit.fitting.problem.specification import (
     DEFAULT_PER_CHANNEL,
     DEFAULT_UNKNOWNS,
     Specification,
 )
+from phongfit.geometry.cameras import AbstractCamera
+from phongfit.lights import AbstractLight, DirectionalLight
+from phongfit.material import Material
 
 Value = TypeVar("Value")
 
@@ -25,10 +32,27 @@ def optional(metavar: str) -> Any:
     return arg(metavar=metavar, help_behavior_hint="")
 
 
+def changed(options: Any) -> dict[str, Any]:
+    """Options that differ from their defaults, by name."""
+    values = {f: getattr(options, f.name) for f in dataclasses.fields(options)}
+    return {f.name: value for f, value in values.items() if value != f.default}
+
+
+def refuse(options: Any, names: str, why: str) -> None:
+    """Raise `ValueError` that names an option of `names` that was given, and why not.
+
+    **Arguments:** `names`: separated by spaces.
+    """
+    for name in changed(options):
+        if name in names.split():
+            raise ValueError(f"{name}: {why}")
+
+
 Names = Annotated[tuple[str, ...], arg(metavar="NAME ...")]
 Words = tuple[str, ...]
 
 OutFolder = Annotated[Path, arg(aliases=["-o"], metavar="OUT")]
+OutFile = Annotated[Path, arg(aliases=["-o"], metavar="FILE")]
 MaterialName = Annotated[str, arg(metavar="preset:NAME|FILE")]
 EncodingName = Annotated[str | None, optional("linear|srgb|FILE")]
 WhiteLevel = Annotated[int | None, optional("LEVEL")]
@@ -113,13 +137,36 @@ def specification_of(unknowns: UnknownOptions, options: FitOptions) -> Specifica
         value = getattr(options, name)
         if value is not None and not 0 < value < float("inf"):
             raise ValueError(f"{name}: expected {wanted}, got {value}")
-    known = None
-    if options.known is not None:
-        with naming("known"):
-            known = read_material(options.known).material
     return Specification(
-        **unknowns.given(), known=known, loss=options.loss, max_steps=options.max_steps
+        **unknowns.given(),
+        known=known_material(options.known),
+        loss=options.loss,
+        max_steps=options.max_steps,
     )
+
+
+def read_lights(
+    path: Path, camera: AbstractCamera | None = None
+) -> tuple[list[str], Sequence[AbstractLight]]:
+    """Names of photographs and their lights, from lights.json or from an .lp.
+
+    **Arguments:** `camera`: whose axes an .lp has; default the world's.
+
+    **Raises:** `ValueError` that names the file.
+    """
+    if path.suffix.lower() != ".lp":
+        found = load_calibration(path)
+        return [lamp.photograph for lamp in found.lamps], found.lights
+    listed = read_lp(path)
+    axes = np.eye(3) if camera is None else np.asarray(camera.rotation, float)
+    lights = [DirectionalLight(vector) for vector in listed.vectors @ axes.T]
+    return list(listed.base_names), lights
+
+
+def known_material(word: str | None) -> Material | None:
+    """The material of the option `--known`; raises as [`read_material`][] does."""
+    with naming("known"):
+        return None if word is None else read_material(word).material
 
 
 def parse_bounds(words: Sequence[str]) -> dict[str, tuple[float, float]]:

@@ -5,26 +5,27 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 from tyro.conf import Positional, arg
 
 from phongfit.commands.data import DataOptions, stack_data
-from phongfit.commands.options import EncodingName, OutFolder, optional
+from phongfit.commands.options import (
+    EncodingName,
+    OutFolder,
+    optional,
+    read_lights,
+    refuse,
+)
 from phongfit.commands.progress import stage
-from phongfit.files.calibrations import load_calibration
 from phongfit.files.encodings import parse_encoding
 from phongfit.files.fits import DataRecord
 from phongfit.files.formats import WRITERS
 from phongfit.files.images import write_image
 from phongfit.files.inputs import naming
-from phongfit.files.lp import read_lp
 from phongfit.files.matching import base_name
 from phongfit.files.outputs import replacing_folder
 from phongfit.files.zarrs import is_store
-from phongfit.lights import AbstractLight, DirectionalLight
 from phongfit.maps.folder import load_folder
 from phongfit.maps.relighting import relit
-from phongfit.maps.result import Maps
 from phongfit.rendering.film import Film
 from phongfit.scene import Scene
 
@@ -77,14 +78,16 @@ def main(options: Options) -> int:
             "encoding: expected --encoding linear or srgb, since "
             f"{options.maps}, of an older version, does not say it"
         )
-    listed, lights = read_lights(options.lights, maps)
+    if maps.camera is None and options.lights.suffix.lower() == ".lp":
+        raise ValueError("camera: maps of an older version do not have it")
+    listed, lights = read_lights(options.lights, maps.camera)
     names = picture_names(listed)
     ambient = options.ambient
     if ambient is not None and not ambient >= 0:
         raise ValueError(f"ambient: expected a number ≥ 0, got {ambient:g}")
 
-    if options.photographs is not None and not options.shadows:
-        raise ValueError("shadows: photographs have theirs, expected one of both")
+    if options.photographs is not None:
+        refuse(options, "shadows", "photographs have theirs, expected one of both")
 
     def may_replace(name: str) -> bool:
         return options.overwrite and name in names
@@ -138,21 +141,6 @@ def _photographs(folder: Path, data: DataRecord) -> tuple[Sequence[Scene], Any]:
             f"{others[0]} is another file"
         )
     return stack.photographs.scenes, stack
-
-
-def read_lights(path: Path, maps: Maps) -> tuple[list[str], list[AbstractLight]]:
-    """Names and lights from lights.json or from an .lp in the camera's axes.
-
-    **Raises:** `ValueError` that names the file, or the missing camera of the maps.
-    """
-    if path.suffix.lower() != ".lp":
-        calibration = load_calibration(path)
-        return [lamp.photograph for lamp in calibration.lamps], list(calibration.lights)
-    if maps.camera is None:
-        raise ValueError("camera: maps of an older version do not have it")
-    read = read_lp(path)
-    world = read.vectors @ np.asarray(maps.camera.rotation, float).T
-    return list(read.names), [DirectionalLight(vector) for vector in world]
 
 
 def picture_names(listed: Sequence[str]) -> list[str]:

@@ -9,7 +9,7 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from phongfit.calibration.response import Response, fit_response
-from phongfit.commands.options import WhiteLevel, optional
+from phongfit.commands.options import OutFile, WhiteLevel, optional, refuse
 from phongfit.commands.progress import stage
 from phongfit.files.capture_data import DIRECTION, open_captured
 from phongfit.files.encodings import RESPONSE_FORMAT
@@ -44,7 +44,7 @@ class Options:
     """
 
     photographs: Annotated[Positional[Path], arg(metavar="PHOTOS")]
-    out: Annotated[Path, arg(aliases=["-o"], metavar="FILE")]
+    out: OutFile
     matte: Annotated[tuple[float, float, float] | None, optional("X Y R")] = None
     lights: Annotated[Path | None, optional("FILE")] = None
     exposures: Annotated[tuple[float, ...], optional("E ...")] = ()
@@ -90,8 +90,7 @@ class _Stored(AbstractImages):
 
 
 def _of_matte(options: Options) -> Response:
-    if options.exposures:
-        raise ValueError("exposures: expected them or --matte, got both")
+    refuse(options, "exposures", "expected them or --matte, got both")
     data = open_captured(
         options.photographs,
         AS_STORED,
@@ -116,8 +115,7 @@ def _of_matte(options: Options) -> Response:
 
 
 def _of_brackets(options: Options) -> Response:
-    if options.lights is not None:
-        raise ValueError("lights: expected --matte with them, the sphere they shine on")
+    refuse(options, "lights", "expected --matte with them, the sphere they shine on")
     paths = list_photographs(options.photographs)
     series = open_photographs(paths, AS_STORED, white=options.white)
     exposures = options.exposures or tuple(series.relative_exposures.tolist())

@@ -9,9 +9,15 @@ import numpy as np
 from tyro.conf import Positional, UseAppendAction, arg
 
 from phongfit.calibration.result import Calibration
-from phongfit.commands.options import EncodingName, WhiteLevel, optional
-from phongfit.commands.views import find_views
-from phongfit.files.calibrations import load_calibration
+from phongfit.commands.options import (
+    EncodingName,
+    WhiteLevel,
+    changed,
+    optional,
+    read_lights,
+    refuse,
+)
+from phongfit.commands.views import EXPOSURES, UNKNOWNS, find_views, unrounded
 from phongfit.files.capture_data import (
     DIRECTION,
     START,
@@ -159,7 +165,7 @@ def main(options: Options) -> int:
     if out.exists() and not options.overwrite:
         raise ValueError(f"{out}: is there already; --overwrite replaces it")
     with sparing(out):
-        made = _make(options)
+        made = _make(options) if options.cameras is None else _make_views(options)
         check_size(made.scene)
         save_scene(
             out,
@@ -184,41 +190,42 @@ class _Made(NamedTuple):
 
 
 def _out(options: Options) -> Path:
-    folder = options.photograph
-    is_folder = folder is not None and folder.is_dir()
-    if options.out is None:
-        if folder is None or not is_folder:
-            raise ValueError("out: expected the name of the file to write, got none")
-        return folder / SCENE_FILE
-    if is_folder and folder is not None:
-        if options.out.resolve() != (folder / SCENE_FILE).resolve():
-            raise ValueError(
-                f"out: expected {folder / SCENE_FILE}, beside the photographs of the "
-                f"data set, got {options.out}"
-            )
-    elif options.out.suffix.lower() != ".json":
-        raise ValueError(f"out: expected a .json file, got {options.out}")
-    return options.out
+    photograph, own = options.photograph, None
+    if photograph is not None and photograph.is_dir():
+        own = photograph / SCENE_FILE
+    out = options.out or own
+    if out is None:
+        raise ValueError("out: expected the name of the file to write, got none")
+    if own is not None and out.resolve() != own.resolve():
+        raise ValueError(
+            f"out: expected {own}, beside the photographs of the data set, got {out}"
+        )
+    if own is None and out.suffix.lower() != ".json":
+        raise ValueError(f"out: expected a .json file, got {out}")
+    return out
 
 
 def _make(options: Options) -> _Made:
-    if options.cameras is not None:
-        return _make_views(options)
+    """Scene and images of photographs from one place, or of none."""
     capture = _capture(options)
-    width, height = _size(options, capture)
+    if capture is not None:
+        refuse(options, "size", "expected it or a photograph, which has one, got both")
+        height, width = capture.series.size
+    elif options.size is not None:
+        width, height = options.size
+    else:
+        raise ValueError("size: expected it, or a photograph to take it from")
     camera, surface = _seen(options, height, width)
+    images: list[ImageRecord] = []
     if capture is None or len(capture.names) == 1:
         lights, notes = _given_lights(options)
-        images: list[ImageRecord] = []
     else:
         lights, notes = _lights_of(options, capture)
         if np.ptp(capture.series.relative_exposures):
             notes = [*capture.notes, "the ambient light is that of the first", *notes]
         images = _images(options, capture)
-    film = None if capture is None else _film(capture)
-    ambient = _colour("ambient", options.ambient)
-    scene = Scene(surface, camera, lights, ambient=ambient, shadows=options.shadows)
-    return _Made(scene, film, images, notes)
+    film = None if capture is None else unrounded(capture.film)
+    return _Made(_scene(options, surface, camera, lights), film, images, notes)
 
 
 def _make_views(options: Options) -> _Made:
@@ -229,11 +236,9 @@ def _make_views(options: Options) -> _Made:
             "cameras: expected a folder of photographs, and --mesh, whose axes they "
             "are in"
         )
-    for name in ("sphere", "normals", "camera", "fov", "position", "target", "size"):
-        if getattr(options, name) is not None:
-            raise ValueError(f"{name}: {cameras} tells what is seen from where")
-    if options.mask is not None:
-        raise ValueError("mask: is of photographs from one place")
+    others = "sphere normals camera fov position target size"
+    refuse(options, others, f"{cameras} tells what is seen from where")
+    refuse(options, "mask", "is of photographs from one place")
     encoding = parse_encoding(options.encoding)
     views = find_views(folder, cameras, encoding, options.white)
     images = views.images
@@ -244,21 +249,18 @@ def _make_views(options: Options) -> _Made:
         images = [
             one.model_copy(update={"lights": [k]}) for k, one in enumerate(images)
         ]
-    scene = Scene(
-        _read_mesh(options.mesh),
-        views.cameras[0],
-        lights,
-        ambient=_colour("ambient", options.ambient),
-        shadows=options.shadows,
-    )
-    if not (options.light or options.point_light or options.lights):
-        notes = [
-            f"no light is given: a distant one is taken, from {START} in the mesh's "
-            "axes; a fit finds it with --unknowns ambient diffuse specular shininess "
-            "scene.lights[0].direction"
-        ]
-    notes = [*views.notes, *notes]
-    return _Made(scene, views.film, images, notes, views.cameras)
+    scene = _scene(options, _read_mesh(options.mesh), views.cameras[0], lights)
+    return _Made(scene, views.film, images, [*views.notes, *notes], views.cameras)
+
+
+def _scene(
+    options: Options,
+    surface: AbstractSurface,
+    camera: AbstractCamera,
+    lights: Sequence[AbstractLight],
+) -> Scene:
+    ambient = _colour("ambient", options.ambient)
+    return Scene(surface, camera, lights, ambient=ambient, shadows=options.shadows)
 
 
 def _own_lights(
@@ -271,8 +273,7 @@ def _own_lights(
             "lights: expected an .lp with --cameras, in the mesh's axes, got "
             f"{options.lights}: lights.json is of photographs from one place"
         )
-    if options.light or options.point_light:
-        raise ValueError("lights: expected it or --light and --point-light")
+    refuse(options, "light point_light", "expected it or --lights, got both")
     listed = read_lp(file)
     with naming(str(file)):
         vectors = listed.only(photographs).vectors
@@ -282,18 +283,10 @@ def _own_lights(
     return [DirectionalLight(vector, intensity) for vector in vectors], notes
 
 
-def _film(capture: Capture) -> Film:
-    """The film of the photographs, without JPEG, which each file states for itself."""
-    film = capture.film
-    return Film(film.clamp, film.encoding, film.bits)
-
-
 def _capture(options: Options) -> Capture | None:
     path = options.photograph
     if path is None:
-        for name in ("encoding", "white", "mask"):
-            if getattr(options, name) is not None:
-                raise ValueError(f"{name}: is of photographs, and none is given")
+        refuse(options, "encoding white mask", "is of photographs, and none is given")
         return None
     if not path.exists():
         raise ValueError(f"{path}: there is no such file or folder")
@@ -302,28 +295,15 @@ def _capture(options: Options) -> Capture | None:
         return open_capture(
             path, encoding, lights=list_of(options.lights), white=options.white
         )
-    if options.mask is not None:
-        raise ValueError("mask: is of a folder; give it to `phongfit fit` instead")
+    refuse(options, "mask", "is of a folder; give it to `phongfit fit` instead")
     return one_photograph(path, encoding, white=options.white)
-
-
-def _size(options: Options, capture: Capture | None) -> tuple[int, int]:
-    if capture is None:
-        if options.size is None:
-            raise ValueError("size: expected it, or a photograph to take it from")
-        return options.size
-    if options.size is not None:
-        raise ValueError("size: expected it or a photograph, which has one, got both")
-    height, width = capture.series.size
-    return width, height
 
 
 def _seen(
     options: Options, height: int, width: int
 ) -> tuple[AbstractCamera, AbstractSurface]:
     """Camera and surface, from the single option that gives a surface."""
-    names = ("sphere", "mesh", "normals")
-    given = [name for name in names if getattr(options, name) is not None]
+    given = [name for name in changed(options) if name in ("sphere", "mesh", "normals")]
     if len(given) != 1:
         raise ValueError(
             "sphere: expected one of --sphere, --mesh and --normals, got "
@@ -333,23 +313,21 @@ def _seen(
         raise ValueError("fov: an orthographic camera has none")
     if options.mesh is not None:
         return _towards(options, _read_mesh(options.mesh), height, width)
-    for name in ("position", "target"):
-        if getattr(options, name) is not None:
-            raise ValueError(f"{name}: is for --mesh; {given[0]} is in the picture")
+    refuse(options, "position target", f"is for --mesh; {given[0]} is in the picture")
     if options.camera == "perspective" and options.fov is None:
         raise ValueError("fov: expected the angle of view of a perspective camera")
     found = _calibrated(options)
-    if found is not None and options.camera:
-        raise ValueError("camera: expected none, since the calibration has the camera")
+    if found is not None:
+        refuse(options, "camera", "expected none, since the calibration has the camera")
     return seen_in(height, width, found, options.sphere, options.normals, options.fov)
 
 
 def _calibrated(options: Options) -> Calibration | None:
     """The calibration that has the lights, and therefore the camera, or `None`."""
-    if options.lights is not None:
-        return None if list_of(options.lights) else load_calibration(options.lights)
     path = options.photograph
-    return None if path is None or not path.is_dir() else calibration_of(path, None)
+    if options.lights is None and (path is None or not path.is_dir()):
+        return None
+    return calibration_of(path or Path(), options.lights)
 
 
 def _read_mesh(path: Path) -> Mesh:
@@ -383,7 +361,7 @@ def _towards(
     return camera, mesh
 
 
-def _given_lights(options: Options) -> tuple[list[AbstractLight], list[str]]:
+def _given_lights(options: Options) -> tuple[Sequence[AbstractLight], list[str]]:
     """The lights of a scene without listed photographs, and notes; all are on."""
     intensity = _colour("intensity", options.intensity)
     made: list[AbstractLight] = []
@@ -394,42 +372,32 @@ def _given_lights(options: Options) -> tuple[list[AbstractLight], list[str]]:
                 made.append(kind(vector, intensity))
             except ValueError as error:
                 raise ValueError(f"{name}: {str(error).partition(': ')[2]}") from error
-    if options.lights is not None:
-        if made:
-            raise ValueError("lights: expected it or --light and --point-light")
-        found, photograph = _calibrated(options), options.photograph
-        if found is not None:
-            named = [lamp.photograph for lamp in found.lamps]
-            lights: list[AbstractLight] = list(found.lights)
-        else:
-            listed = read_lp(options.lights)
-            named = list(listed.base_names)
-            lights = [DirectionalLight(vector) for vector in listed.vectors]
-        if photograph is not None:
-            if photograph.name not in named:
-                raise ValueError(
-                    f"lights: expected one of {photograph.name}, got none in "
-                    f"{options.lights}"
-                )
-            return [lights[named.index(photograph.name)]], []
-        return lights, [f"all {len(lights)} lights are on"] if len(lights) > 1 else []
-    if made:
+    if options.lights is None and made:
         return made, []
-    return [DirectionalLight(START, intensity)], [
-        "no light is given: it is taken as from above the camera; a fit finds it with "
-        "--unknowns ambient diffuse specular shininess scene.lights[0].direction"
-    ]
+    if options.lights is None:
+        return [DirectionalLight(START, intensity)], [
+            f"no light is given: a distant one is taken, from {START}; a fit finds it "
+            f"with {UNKNOWNS} {DIRECTION}"
+        ]
+    if made:
+        raise ValueError("lights: expected it or --light and --point-light")
+    names, lights = read_lights(options.lights)
+    one = options.photograph
+    if one is None:
+        return lights, [f"all {len(lights)} lights are on"] if len(lights) > 1 else []
+    if one.name not in names:
+        raise ValueError(
+            f"lights: expected one of {one.name}, got none in {options.lights}"
+        )
+    return [lights[names.index(one.name)]], []
 
 
 def _lights_of(
     options: Options, capture: Capture
 ) -> tuple[list[AbstractLight], list[str]]:
     """A light for each photograph of a folder, and notes."""
-    if options.light or options.point_light:
-        raise ValueError(
-            "light: expected --lights for a folder, a file that gives each photograph "
-            "its own"
-        )
+    why = "expected --lights for a folder, a file that gives each photograph its own"
+    refuse(options, "light point_light", why)
     lights, unknown = find_lamps(capture, _calibrated(options))
     if DIRECTION in unknown:
         raise ValueError(
@@ -440,8 +408,8 @@ def _lights_of(
     if not unknown:
         return lights, []
     return lights, [
-        "how strong the lamps are is not known: a fit finds it with --unknowns ambient "
-        "diffuse specular shininess exposure --fixed exposure[0]=1"
+        f"how strong the lamps are is not known: a fit finds it with {UNKNOWNS} "
+        f"{EXPOSURES}"
     ]
 
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from phongfit.commands.options import optional
+from phongfit.commands.options import OutFile, optional
 from phongfit.commands.progress import stage
 from phongfit.files.inputs import sparing
 from phongfit.files.outputs import check_file
@@ -27,7 +27,7 @@ class Options:
     """
 
     maps: Annotated[Positional[Path], arg(metavar="MAPS")]
-    out: Annotated[Path, arg(aliases=["-o"], metavar="FILE")]
+    out: OutFile
     title: Annotated[str | None, optional("TEXT")] = None
     distance: Annotated[float | None, optional("LENGTH")] = None
 

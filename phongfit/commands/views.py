@@ -16,6 +16,11 @@ from phongfit.rendering.film import Encoding, Film
 
 LISTED = 4
 
+UNKNOWNS = "--unknowns ambient diffuse specular shininess"
+"""The usual unknowns of a fit, to which notes add others."""
+
+EXPOSURES = "exposure --fixed exposure[0]=1"
+
 
 class Views(NamedTuple):
     """Images, cameras, film and notes of a data set from several places."""
@@ -86,9 +91,14 @@ def find_views(
     return Views(
         [ImageRecord(file=name) for name in names],
         list(found.values()),
-        Film(film.clamp, film.encoding, film.bits),
+        unrounded(film),
         told,
     )
+
+
+def unrounded(film: Film) -> Film:
+    """A film of photographs without JPEG, which each file states for itself."""
+    return Film(film.clamp, film.encoding, film.bits)
 
 
 def _exposed(relative: Sequence[float]) -> list[str]:
@@ -97,8 +107,7 @@ def _exposed(relative: Sequence[float]) -> list[str]:
         return []
     return [
         f"exposures differ, from {low:.3g} to {high:.3g} of the first's: a fit finds "
-        "them with --unknowns ambient diffuse specular shininess exposure --fixed "
-        "exposure[0]=1"
+        f"them with {UNKNOWNS} {EXPOSURES}"
     ]
 
 

@@ -75,7 +75,7 @@ def lab(options: Options) -> None:
     """Move the model's sliders in a browser, and fit a target with one press.
 
     The page is served on this machine, and to this machine only unless --host says
-    otherwise. Whoever reaches it can load files into it. Ctrl-C stops it.
+    otherwise. Everybody who reaches it can load files into it. Ctrl-C stops it.
 
     For example:
       phongfit lab

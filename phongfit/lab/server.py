@@ -23,7 +23,6 @@ from phongfit.lab.settings import (
     describe_settings,
 )
 from phongfit.lab.uploads import MAX_BYTES
-from phongfit.rendering.film import as_encoding
 
 ASSETS = {
     "/": ("index.html", "text/html"),
@@ -55,26 +54,15 @@ def make_app(session: Session, host: str = "127.0.0.1") -> Starlette:
     def picture(request: PictureRequest) -> Response:
         return Response(session.picture(request), media_type="image/png")
 
-    def mesh(request: Request, content: bytes) -> dict[str, Any]:
-        return session.add_mesh(_query(request, "name"), content)
-
-    def photograph(request: Request, content: bytes) -> dict[str, Any]:
-        encoding = as_encoding(_query(request, "encoding"))
-        return session.add_photograph(_query(request, "name"), content, encoding)
-
-    def mask(request: Request, content: bytes) -> dict[str, Any]:
-        token, name = _query(request, "target"), _query(request, "name")
-        return session.add_mask(token, name, content)
-
     posts = {
         "/api/picture": _asked(intake, PictureRequest, picture),
         "/api/outline": _asked(intake, PictureRequest, session.outline),
         "/api/target": _asked(intake, TargetRequest, session.make_target),
         "/api/fit": _asked(intake, FitRequest, session.fit, heavy=True),
         "/api/chosen": _asked(intake, ChosenRequest, session.choose),
-        "/api/mesh": _uploaded(intake, mesh),
-        "/api/photograph": _uploaded(intake, photograph),
-        "/api/mask": _uploaded(intake, mask),
+        "/api/mesh": _uploaded(intake, session, "add_mesh"),
+        "/api/photograph": _uploaded(intake, session, "add_photograph", "encoding"),
+        "/api/mask": _uploaded(intake, session, "add_mask", "target"),
     }
     return Starlette(
         routes=[
@@ -119,12 +107,15 @@ def _asked(
     return answer
 
 
-def _uploaded(intake: Intake, work: Callable[[Request, bytes], Any]) -> Endpoint:
-    """An endpoint that applies `work` to an uploaded file."""
+def _uploaded(intake: Intake, session: Session, method: str, *more: str) -> Endpoint:
+    """An endpoint that calls a method with an uploaded file, its name and `more`."""
 
     async def answer(request: Request) -> Response:
-        call = functools.partial(work, request)
-        return await intake.file(request, MAX_BYTES, lambda c: _sent(call(c)))
+        def work(content: bytes) -> Response:
+            given = {name: _query(request, name) for name in ("name", *more)}
+            return _sent(getattr(session, method)(content=content, **given))
+
+        return await intake.file(request, MAX_BYTES, work)
 
     return answer
 

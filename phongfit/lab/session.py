@@ -38,7 +38,7 @@ from phongfit.lab.uploads import (
     read_photograph_mask,
     shrunk,
 )
-from phongfit.rendering.film import Encoding, Film
+from phongfit.rendering.film import Encoding, Film, as_encoding
 from phongfit.rendering.render import render
 
 # Shown pixels are averages of FINER × FINER rendered ones; targets and fits have one.
@@ -132,6 +132,7 @@ class Session:
         self, name: str, content: bytes, encoding: Encoding
     ) -> dict[str, Any]:
         """Add a photograph from a file as a target: see [`read_photograph`][]."""
+        encoding = as_encoding(encoding)
         image, shrunk, clamps = read_photograph(name, content, encoding)
         mask = np.ones(image.shape[:2], bool)
         of_file = encoding if clamps else None
@@ -164,7 +165,7 @@ class Session:
             "notes": list(given.notes),
         }
 
-    def add_mask(self, token: str, name: str, content: bytes) -> dict[str, Any]:
+    def add_mask(self, target: str, name: str, content: bytes) -> dict[str, Any]:
         """Add a mask of the surface to a photograph.
 
         **Returns:** the target with its mask, and a circle fitted to the mask's extent,
@@ -172,9 +173,9 @@ class Session:
 
         **Raises:** `ValueError` if the file cannot be read or is of another size.
         """
-        target = self._targets.get(token)
-        height, width, _ = target.image.shape
-        mask = read_photograph_mask(name, content, target.shrunk, (height, width))
+        held = self._targets.get(target)
+        height, width, _ = held.image.shape
+        mask = read_photograph_mask(name, content, held.shrunk, (height, width))
         if not mask.any():
             raise ValueError(f"{name}: it leaves no pixel")
         rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
@@ -185,7 +186,7 @@ class Session:
             "radius": 25 * (bottom - top + right - left) / height,
         }
         masked = dataclasses.replace(
-            target, mask=mask, brighten=brightening(target.image[mask])
+            held, mask=mask, brighten=brightening(held.image[mask])
         )
         return self._keep(masked) | circle
 

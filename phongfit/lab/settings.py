@@ -3,10 +3,12 @@
 The page is built from these fields, and the server validates requests by them.
 """
 
+import functools
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, Strict
 
+from phongfit.files.fits import LossName
 from phongfit.files.records import AbstractRecord
 from phongfit.presets import OPENGL_MATERIALS
 
@@ -50,9 +52,16 @@ def _slider(
     )
 
 
-WITH_LIGHT = {"light": ["directional", "point", "spot"]}
-NEAR_LIGHT = {"light": ["point", "spot"]}
-SPOT_LIGHT = {"light": ["spot"]}
+# Properties that sliders share: units and steps, and the lights that they belong to.
+DEGREES: dict[str, Any] = {"unit": "°", "step": 1}
+PERCENT: dict[str, Any] = {"unit": "%", "step": 0.1}
+LOGARITHMIC: dict[str, Any] = {"scale": "log", "step": 0.1}
+_colour = functools.partial(_slider, "material", step=0.01)
+_light = functools.partial(_slider, "light")
+_lit = functools.partial(_light, only={"light": ["directional", "point", "spot"]})
+_near = functools.partial(_light, only={"light": ["point", "spot"]})
+_spot = functools.partial(_light, only={"light": ["spot"]})
+_frame = functools.partial(_slider, "frame", **PERCENT)
 
 
 class Settings(AbstractRecord):
@@ -62,54 +71,26 @@ class Settings(AbstractRecord):
     unit. Angles are in degrees: 0, 0 is straight from the front, along +z.
     """
 
-    diffuse: Shares = _slider(
-        "material", "diffuse", (0.6, 0.3, 0.2), symbol="ρ_d", step=0.01
-    )
-    specular: Shares = _slider(
-        "material", "specular", (0.4, 0.4, 0.4), symbol="ρ_s", step=0.01
-    )
-    ambient: Shares = _slider(
-        "material", "ambient", (0.6, 0.3, 0.2), symbol="ρ_a", step=0.01
-    )
+    diffuse: Shares = _colour("diffuse", (0.6, 0.3, 0.2), symbol="ρ_d")
+    specular: Shares = _colour("specular", (0.4, 0.4, 0.4), symbol="ρ_s")
+    ambient: Shares = _colour("ambient", (0.6, 0.3, 0.2), symbol="ρ_a")
     shininess: float = _slider(
-        "material", "exponent", 60.0, 1, 1000, symbol="f", step=0.1, scale="log"
+        "material", "exponent", 60.0, 1, 1000, symbol="f", **LOGARITHMIC
     )
 
-    light: Literal["none", "directional", "point", "spot"] = _slider(
-        "light", "kind of light", "directional", words={"none": "ambient"}
+    light: Literal["none", "directional", "point", "spot"] = _light(
+        "kind of light", "directional", words={"none": "ambient"}
     )
-    azimuth: float = _slider(
-        "light", "to the right", 35.0, -180, 180, unit="°", step=1, only=WITH_LIGHT
+    azimuth: float = _lit("to the right", 35.0, -180, 180, **DEGREES)
+    elevation: float = _lit("upwards", 30.0, -90, 90, **DEGREES)
+    distance: float = _near(
+        "distance", 3.0, NEAREST, FURTHEST, unit="radii", **LOGARITHMIC
     )
-    elevation: float = _slider(
-        "light", "upwards", 30.0, -90, 90, unit="°", step=1, only=WITH_LIGHT
-    )
-    distance: float = _slider(
-        "light",
-        "distance",
-        3.0,
-        NEAREST,
-        FURTHEST,
-        unit="radii",
-        step=0.1,
-        scale="log",
-        only=NEAR_LIGHT,
-    )
-    falloff: float = _slider(
-        "light", "falls off with d²", 0.0, 0, 1, symbol="κ", step=0.01, only=NEAR_LIGHT
-    )
-    cutoff: float = _slider(
-        "light", "half the cone", 14.0, 1, 90, unit="°", step=0.5, only=SPOT_LIGHT
-    )
-    exponent: float = _slider(
-        "light", "spot exponent", 4.0, 0, 128, symbol="e", step=1, only=SPOT_LIGHT
-    )
-    intensity: Strengths = _slider(
-        "light", "intensity", (1, 1, 1), symbol="I_s", step=0.05, only=WITH_LIGHT
-    )
-    ambient_light: float = _slider(
-        "light", "ambient light", 0.3, 0, 1, symbol="I_a", step=0.01
-    )
+    falloff: float = _near("falls off with d²", 0.0, 0, 1, symbol="κ", step=0.01)
+    cutoff: float = _spot("half the cone", 14.0, 1, 90, unit="°", step=0.5)
+    exponent: float = _spot("spot exponent", 4.0, 0, 128, symbol="e", step=1)
+    intensity: Strengths = _lit("intensity", (1, 1, 1), symbol="I_s", step=0.05)
+    ambient_light: float = _light("ambient light", 0.3, 0, 1, symbol="I_a", step=0.01)
 
     specular_model: Literal["blinn-phong", "phong"] = _slider(
         "model",
@@ -122,20 +103,12 @@ class Settings(AbstractRecord):
     )
 
     surface: str = Field(default=SPHERE, max_length=64, title="surface")
-    turn: float = _slider(
-        "view", "view from the right", 0.0, -180, 180, unit="°", step=1
-    )
-    tilt: float = _slider("view", "view from above", 0.0, -89, 89, unit="°", step=1)
+    turn: float = _slider("view", "view from the right", 0.0, -180, 180, **DEGREES)
+    tilt: float = _slider("view", "view from above", 0.0, -89, 89, **DEGREES)
 
-    centre_x: float = _slider(
-        "frame", "centre, from the left", 50.0, 0, 100, unit="%", step=0.1
-    )
-    centre_y: float = _slider(
-        "frame", "centre, from the top", 50.0, 0, 100, unit="%", step=0.1
-    )
-    radius: float = _slider(
-        "frame", "radius, of the height", 45.0, 1, 100, unit="%", step=0.1
-    )
+    centre_x: float = _frame("centre, from the left", 50.0, 0, 100)
+    centre_y: float = _frame("centre, from the top", 50.0, 0, 100)
+    radius: float = _frame("radius, of the height", 45.0, 1, 100)
 
 
 def matters(settings: Settings) -> list[str]:
@@ -153,21 +126,19 @@ def matters(settings: Settings) -> list[str]:
     return [name for name in Settings.model_fields if does(name)]
 
 
+LOSS_WORDS = {
+    "linear": "least squares",
+    "huber": "Huber",
+    "soft_l1": "soft L1",
+    "cauchy": "Cauchy",
+    "tukey": "Tukey",
+}
+
+
 class FitOptions(AbstractRecord):
     """Options of a fit of a target."""
 
-    loss: Literal["linear", "huber", "soft_l1", "cauchy", "tukey"] = _slider(
-        "fit",
-        "loss",
-        "linear",
-        words={
-            "linear": "least squares",
-            "huber": "Huber",
-            "soft_l1": "soft L1",
-            "cauchy": "Cauchy",
-            "tukey": "Tukey",
-        },
-    )
+    loss: LossName = _slider("fit", "loss", "linear", words=LOSS_WORDS)
     rim: float = _slider("fit", "rim left out: n·v below", 0.0, 0, 0.9, step=0.01)
     light_too: bool = _slider(
         "fit", "the light's direction or position is unknown too", False

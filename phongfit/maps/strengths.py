@@ -25,6 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from phongfit.calibration.least_squares import robust_scale, tukey_weight
 from phongfit.geometry.surfaces import GBuffer, NormalMap
 from phongfit.maps.job import Job
 from phongfit.maps.layers import Masks
@@ -43,9 +44,6 @@ more grazing light surfaces deviate from the model."""
 
 BRIGHT = 0.3
 """Least brightness of pixels in use, relative to the median: noise dominates others."""
-
-TUKEY = 4.7
-"""Residuals of at least this many standard deviations have weight 0."""
 
 STEPS, SMALL = 50, 1e-5
 """Maximum number of Gauss-Newton steps, and the change of log s that ends them."""
@@ -346,9 +344,8 @@ def _sum_up(
     # Residuals are smaller than the noise by the degrees of freedom of b.
     images, axes = np.median(lit.sum(axis=0)), points.irradiance.shape[-1]
     free = max(images - axes - 1, 1) / max(images, 1)
-    scale = 1.4826 * np.median(np.abs(left[lit])) / np.sqrt(free)
-    u = left / (TUKEY * max(float(scale), 1e-4))
-    following = lit * np.clip(1 - u**2, 0, None) ** 2
+    scale = robust_scale(left[lit]) / np.sqrt(free)
+    following = lit * tukey_weight(left, max(scale, 1e-4))
     column = values[:, None] * expected * unit
     _, block = np.unique(points.block, return_inverse=True)
     information, gradient = [], []

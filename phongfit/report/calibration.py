@@ -1,6 +1,7 @@
 """The picture of a calibration: spheres, highlights and lamps."""
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -65,17 +66,8 @@ def _draw_spheres(axes: Axes, calibration: Calibration, image: np.ndarray) -> No
         x, y, radius = sphere.outline
         colour = ORANGE if sphere.kind == "chrome" else GREEN
         axes.add_patch(Circle((x, y), radius, fill=False, ec=colour, lw=1.2))
-        above = y - radius > 0.06 * height
-        axes.annotate(
-            sphere.kind,
-            (x, y - radius if above else y + radius),
-            (0, 3 if above else -3),
-            textcoords="offset points",
-            ha="center",
-            va="bottom" if above else "top",
-            color=colour,
-            fontsize=8,
-        )
+        side = 1 if y - radius > 0.06 * height else -1
+        _label(axes, sphere.kind, (x, y - side * radius), side, colour, 8)
         if sphere.kind == "chrome":
             spots = np.array([lamp.highlights[chrome] for lamp in calibration.lamps])
             axes.plot(*spots.T, "+", color=VERMILION, ms=5, mew=0.8)
@@ -83,45 +75,32 @@ def _draw_spheres(axes: Axes, calibration: Calibration, image: np.ndarray) -> No
     axes.set_title("brightest of the photographs, with spheres and highlights")
 
 
+def _label(
+    axes: Axes, words: str, at: tuple[float, float], side: int, colour: str, size: float
+) -> None:
+    """Write words above a point, or below it where `side` is −1."""
+    edge = "bottom" if side > 0 else "top"
+    how: dict[str, Any] = {
+        "textcoords": "offset points",
+        "ha": "center",
+        "va": edge,
+    }
+    axes.annotate(words, at, (0, 3 * side), color=colour, fontsize=size, **how)
+
+
 def _draw_lamps(axes: Axes, calibration: Calibration) -> None:
     """Draw directions of lamps, projected along the camera's axis."""
     for angle in (30, 60, 90):
-        radius = np.sin(np.radians(angle))
+        radius = float(np.sin(np.radians(angle)))
         axes.add_patch(Circle((0, 0), radius, fill=False, ec=PALE, lw=0.6))
-        axes.annotate(
-            f"{angle}°",
-            (0, -radius),
-            (0, 1),
-            textcoords="offset points",
-            ha="center",
-            va="bottom",
-            fontsize=7,
-            color=PALE,
-        )
+        _label(axes, f"{angle}°", (0, -radius), 1, PALE, 7)
     strengths = np.array([lamp.intensity.mean() for lamp in calibration.lamps])
-    sizes = np.where(np.isfinite(strengths), strengths, 1.0)
-    for number, (lamp, size) in enumerate(
-        zip(calibration.lamps, sizes, strict=True), 1
-    ):
+    sizes = 4 + 4 * np.clip(np.nan_to_num(strengths, nan=1.0), 0.1, 3) ** 0.5
+    for number, lamp in enumerate(calibration.lamps):
         x, y, z = lamp.direction
-        behind = z < 0
-        axes.plot(
-            x,
-            y,
-            "o",
-            ms=4 + 4 * np.clip(size, 0.1, 3) ** 0.5,
-            mfc="none" if behind else ACCENT,
-            mec=ACCENT,
-            mew=0.8,
-        )
-        axes.annotate(
-            str(number),
-            (x, y),
-            (6, 3),
-            textcoords="offset points",
-            fontsize=7,
-            color=INK,
-        )
+        face = "none" if z < 0 else ACCENT
+        axes.plot(x, y, "o", ms=sizes[number], mfc=face, mec=ACCENT, mew=0.8)
+        _label(axes, str(number + 1), (x, y), 1, INK, 7)
     quiet(axes)
     axes.set_aspect("equal")
     axes.set_xlim(-1.12, 1.12)

@@ -50,25 +50,24 @@ def linked(warning: str) -> Markup:
     return Markup('{}<span title="{}">[{}]</span>').format(words, place, code)
 
 
-def source(figure: Figure, dpi: float = DPI) -> str:
-    """A figure as a data URI, embedded in the page."""
-    return data_uri(png(figure, dpi))
+def panel(
+    figure: Figure, alt: str, caption: str = "", dpi: float = DPI, **more: Any
+) -> dict[str, Any]:
+    """A picture embedded in a page: `source`, `alt`, `caption` and further values."""
+    source = data_uri(png(figure, dpi))
+    return {"source": source, "alt": alt, "caption": caption, **more}
 
 
 def parameters(fit: Fit) -> list[dict[str, Any]]:
     """Rows of the table of unknowns: label, value, error, percent, unit, and note."""
-    words = lopsided(fit)
-    return [_row(fit, k, words.get(k, "")) for k in range(len(fit.labels))]
-
-
-def _row(fit: Fit, k: int, words: str) -> dict[str, Any]:
-    value, error = float(fit.values[k]), float(fit.errors[k])
-    notes = [
-        *(["at its bound"] if fit.at_bound[k] else []),
-        *(["tied"] if fit.tied[k] else []),
-        *([words] if words else []),
-    ]
-    return row(fit.labels[k], value, math.inf if fit.unidentified[k] else error, notes)
+    words, rows = lopsided(fit), []
+    for k, label in enumerate(fit.labels):
+        notes = ["at its bound"] * bool(fit.at_bound[k])
+        notes += ["tied"] * bool(fit.tied[k])
+        notes += [words[k]] if words.get(k) else []
+        error = math.inf if fit.unidentified[k] else float(fit.errors[k])
+        rows.append(row(label, float(fit.values[k]), error, notes))
+    return rows
 
 
 def row(

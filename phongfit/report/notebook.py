@@ -17,7 +17,7 @@ from phongfit.geometry.surfaces import AbstractSurface, NormalMap, Sphere
 from phongfit.lights import AbstractLight, DirectionalLight
 from phongfit.material import Material, unstack_materials
 from phongfit.rendering.render import render
-from phongfit.report.html import fill, parameters, source
+from phongfit.report.html import fill, panel, parameters
 from phongfit.report.pictures import displayed
 from phongfit.report.plots import plot
 from phongfit.report.words import settings, summary
@@ -30,17 +30,13 @@ SWATCH, PIXELS, FINER = 144, 240, 2
 
 def of_fit(fit: Fit) -> str:
     """HTML of a fit: table, warnings and a small picture."""
-    figure = plot(fit, most=1)
+    words = "Photograph, fit and residual of the first image."
     return fill(
         "fit.html",
         rows=parameters(fit),
         sentences=summary(fit)[:3],
         warnings=list(fit.warnings),
-        picture={
-            "source": source(figure, dpi=80),
-            "alt": "Photograph, fit and residual of the first image.",
-            "caption": "",
-        },
+        picture=panel(plot(fit, most=1), words, dpi=80),
     )
 
 

@@ -2,32 +2,27 @@
 
 import os
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from phongfit.edge import checked
 from phongfit.files.outputs import replacing
 from phongfit.fitting.result import Fit
+from phongfit.fitting.texels.result import TextureFit
 from phongfit.fitting.uncertainty.diagnostics import Diagnostics
 from phongfit.plain import readable
 from phongfit.report.html import fill, parameters
 from phongfit.report.panels import (
-    about_pictures,
     convergence,
     correlations,
+    pictures,
     profiles,
     residuals,
-    shown,
-    trio,
 )
-from phongfit.report.pictures import Title
-from phongfit.report.plots import brightening, chosen, names_of
+from phongfit.report.pictures import Row, Title
+from phongfit.report.plots import rows_of
 from phongfit.report.repeat import call, names as names_in_call
 from phongfit.report.style import styled
-from phongfit.report.words import (
-    as_tuple,
-    assumptions as assumed,
-    listed,
-    summary,
-)
+from phongfit.report.words import assumptions as assumed, listed, summary
 
 
 @checked
@@ -59,48 +54,19 @@ def write_page(
     **Raises:** `OSError` that names `path`; `ValueError` if there are names, but not
     one for each image.
     """
-    text = page(
-        fit,
-        title=title,
-        names=names,
-        assumptions=assumptions,
-        command=command,
-        loading=loading,
-        diagnostics=diagnostics,
-    )
-    with replacing(path) as temporary:
-        temporary.write_text(readable(text), encoding="utf-8")
-
-
-def page(
-    fit: Fit,
-    *,
-    title: Title,
-    names: Sequence[Title] = (),
-    assumptions: Mapping[str, str] | None = None,
-    command: str = "",
-    loading: str = "",
-    diagnostics: Diagnostics | None = None,
-) -> str:
-    """The text of the page: see [`write_page`][]."""
-    every = names_of(fit, names)
-    images = chosen(fit.n_images)
-    factor = brightening(as_tuple(fit.photographs)[k] for k in images)
     with styled():
-        pictures = [trio(shown(fit, k), every[k], factor) for k in images]
         curves, about_curves = profiles(fit, diagnostics)
         course, about_course = convergence(fit, diagnostics)
         matrix, about_matrix = correlations(fit)
         left_over = residuals(fit)
-    return fill(
+    fill_page(
+        path,
         "page.html",
+        fit,
+        rows_of(fit, names),
+        fit.n_images,
         title=str(title),
-        converged=fit.converged,
-        sections=_sections(bool(fit.warnings)),
         sentences=summary(fit),
-        warnings=[full_stop(warning) for warning in fit.warnings],
-        images=pictures,
-        about_pictures=about_pictures(factor, len(images), fit.n_images),
         rows=parameters(fit),
         profiles=curves,
         about_profiles=about_curves,
@@ -117,22 +83,23 @@ def page(
     )
 
 
-def _sections(warned: bool) -> list[tuple[str, str]]:
-    names = {
-        "summary": "Summary",
-        **({"warnings": "Warnings"} if warned else {}),
-        "pictures": "Pictures",
-        "parameters": "Parameters",
-        "profiles": "Profiles",
-        "correlations": "Correlations",
-        "residuals": "Residuals",
-        "convergence": "Convergence",
-        "assumptions": "Assumptions",
-        "repeat": "How to repeat",
-    }
-    return list(names.items())
+def fill_page(
+    path: str | os.PathLike[str],
+    template: str,
+    found: Fit | TextureFit,
+    images: Sequence[Row],
+    n_images: int,
+    **values: Any,
+) -> None:
+    """Write a page with warnings and pictures of a fit, whole or not at all.
 
-
-def full_stop(words: str) -> str:
-    """A warning as a sentence; without a full stop after a code."""
-    return words if words.endswith((".", "]")) else f"{words}."
+    **Arguments:** `images`: those to show, of `n_images`; `values` of the template.
+    """
+    with styled():
+        shown = pictures(images, n_images)
+    # A full stop ends a warning, except after a code.
+    warnings = [w if w.endswith((".", "]")) else f"{w}." for w in found.warnings]
+    values |= {"converged": found.converged, "warnings": warnings, **shown}
+    text = readable(fill(template, **values))
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")

@@ -1,7 +1,8 @@
 """The pictures of the page, each with an alternative text."""
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -9,20 +10,23 @@ from matplotlib.axes import Axes
 from phongfit.fitting.result import Fit
 from phongfit.fitting.uncertainty.convergence import Convergence
 from phongfit.fitting.uncertainty.diagnostics import Diagnostics
-from phongfit.report.html import source
-from phongfit.report.pictures import displayed, draw_residual
+from phongfit.report.html import panel
+from phongfit.report.pictures import Row, displayed, draw_residual
 from phongfit.report.plots import (
+    brightening,
+    draw_against_level,
+    draw_blocks,
     draw_convergence,
     draw_correlations,
+    draw_histogram,
     shown_unknowns,
 )
 from phongfit.report.profiles import difference_words, draw_profile
-from phongfit.report.residuals import draw_against_level, draw_blocks, draw_histogram
 from phongfit.report.style import picture, quiet
-from phongfit.report.words import as_tuple, listed
+from phongfit.report.words import listed
 
 Panel = dict[str, Any]
-"""`source`, `alt` and `caption` of a picture."""
+"""A picture of the page: see [`panel`][]."""
 
 
 def _drawn(
@@ -30,53 +34,45 @@ def _drawn(
     alt: str,
     caption: str = "",
     size: tuple[float, float] = (4.4, 3.1),
+    **more: Any,
 ) -> Panel:
     """Draw one picture of the page, small enough for readable labels on a phone."""
     figure = picture(*size)
     draw(figure.subplots())
-    return {"source": source(figure), "alt": alt, "caption": caption}
+    return panel(figure, alt, caption, **more)
 
 
-class FittedImage(NamedTuple):
-    """One image, its fit and the residual: linear light (H, W, 3)."""
+def pictures(rows: Sequence[Row], of: int) -> dict[str, Any]:
+    """Photograph, fit and residual of some of `of` images, and an explanation."""
+    factor = brightening(row.target for row in rows)
+    words = ["Photograph and fit as a screen shows them (sRGB)"]
+    if factor > 1:
+        words.append(f", {factor:.2g} times brighter than they are")
+    words.append("; the residual in linear light, the channel that is furthest off. ")
+    words.append("Where a sample was left out, the residual is 0.")
+    if len(rows) < of:
+        words.append(f" Shown are {len(rows)} of {of}.")
+    images = [_trio(row, factor) for row in rows]
+    return {"images": images, "about_pictures": "".join(words)}
 
-    photograph: np.ndarray
-    fitted: np.ndarray
-    residual: np.ndarray
 
-
-def shown(fit: Fit, k: int) -> FittedImage:
-    """Image `k` of a fit."""
-    parts = (fit.photographs, fit.fitted, fit.residuals)
-    return FittedImage(*(as_tuple(part)[k] for part in parts))
-
-
-def trio(image: FittedImage, name: str, factor: float) -> Panel:
-    """Photograph, fit and residual of an image, brightened by `factor`."""
-    photograph, fitted, residual = image
-    of = f" of {name}" if name else ""
+def _trio(row: Row, factor: float) -> Panel:
+    of, residual = f" of {row.title}" if row.title else "", row.residual
 
     def left(axes: Axes) -> None:
         draw_residual(axes, residual, below=True)
         quiet(axes)
 
     wide, tall = _size(residual)
-    spread = (
-        float(np.sqrt(np.mean(residual[residual != 0] ** 2))) if residual.any() else 0.0
-    )
-    return {
-        "name": name,
-        "pictures": [
-            _image(factor * photograph, f"Photograph{of}.", "photograph"),
-            _image(factor * fitted, f"The fit{of}, rendered.", "fit"),
-            _drawn(
-                left,
-                f"Photograph minus fit{of}: root mean square {spread:.2g} of white.",
-                "photograph − fit",
-                (wide, tall + 0.55),
-            ),
-        ],
-    }
+    used = residual[residual != 0]
+    spread = float(np.sqrt(np.mean(used**2))) if used.size else 0.0
+    words = f"Photograph minus fit{of}: root mean square {spread:.2g} of white."
+    parts = [
+        _image(factor * row.target, f"Photograph{of}.", "photograph"),
+        _image(factor * row.fitted, f"The fit{of}, rendered.", "fit"),
+        _drawn(left, words, "photograph − fit", (wide, tall + 0.55)),
+    ]
+    return {"name": row.title, "pictures": parts}
 
 
 def _size(image: np.ndarray) -> tuple[float, float]:
@@ -91,19 +87,7 @@ def _image(image: np.ndarray, alt: str, caption: str) -> Panel:
     axes = figure.add_axes((0, 0, 1, 1))
     axes.imshow(displayed(image))
     quiet(axes)
-    return {"source": source(figure), "alt": alt, "caption": caption}
-
-
-def about_pictures(factor: float, images: int, of: int) -> str:
-    """Explanation of the pictures, for some images of many."""
-    words = ["Photograph and fit as a screen shows them (sRGB)"]
-    if factor > 1:
-        words.append(f", {factor:.2g} times brighter than they are")
-    words.append("; the residual in linear light, the channel that is furthest off. ")
-    words.append("Where a sample was left out, the residual is 0.")
-    if images < of:
-        words.append(f" Shown are {images} of {of}.")
-    return "".join(words)
+    return panel(figure, alt, caption)
 
 
 def profiles(fit: Fit, found: Diagnostics | None) -> tuple[list[Panel], str]:
@@ -156,8 +140,8 @@ def correlations(fit: Fit) -> tuple[Panel | None, str]:
     side = 2.6 + 0.33 * len(entries)
     alt = f"Matrix of correlations of {len(entries)} unknowns. {strongest}"
     size = (side + 0.6, side)
-    shown = _drawn(lambda axes: draw_correlations(axes, fit), alt, "", size)
-    return shown | {"inches": size[0]}, strongest
+    draw = functools.partial(draw_correlations, fit=fit)
+    return _drawn(draw, alt, size=size, inches=size[0]), strongest
 
 
 def residuals(fit: Fit) -> list[Panel]:

@@ -14,7 +14,7 @@ from phongfit.checks import as_array
 from phongfit.edge import checked
 from phongfit.plain import readable
 from phongfit.rendering.film import encode
-from phongfit.report.style import SIGNED, picture, quiet, styled
+from phongfit.report.style import SIGNED, picture, quiet, scale, styled
 
 Title = str | int | float | os.PathLike[str]
 INCHES = 2.1
@@ -68,8 +68,7 @@ def show(image: Any, *, title: Title = "", brighten: float = 1.0) -> Figure:
         if pixels.ndim == 3:
             axes.imshow(displayed(brighten * pixels))
         else:
-            shown = axes.imshow(brighten * pixels.astype(float), cmap="viridis")
-            figure.colorbar(shown, ax=axes, fraction=0.046, pad=0.03)
+            scale(axes, axes.imshow(brighten * pixels.astype(float), cmap="viridis"))
         axes.set_title(str(title))
         quiet(axes)
     return figure
@@ -85,19 +84,14 @@ def signed(residual: Any) -> np.ndarray:
 def draw_residual(axes: Axes, residual: Any, *, below: bool = False) -> None:
     """Draw a residual (H, W, 3) in linear light, with its scale beside or `below`."""
     values = signed(residual)
-    scale = max(float(np.quantile(np.abs(values), 0.995)), 1e-6)
-    shown = axes.imshow(values, cmap=SIGNED, vmin=-scale, vmax=scale)
-    figure = axes.get_figure(root=True)
-    assert figure is not None
-    place: dict[str, Any] = {"location": "bottom"} if below else {}
-    bar = figure.colorbar(shown, ax=axes, fraction=0.046, pad=0.03, **place)
+    most = max(float(np.quantile(np.abs(values), 0.995)), 1e-6)
+    shown = axes.imshow(values, cmap=SIGNED, vmin=-most, vmax=most)
+    label = "linear light, white = 1; the channel furthest off"
+    bar = scale(axes, shown, label, location="bottom") if below else scale(axes, shown)
     bar.ax.tick_params(labelsize=7)
     bar.locator = MaxNLocator(4 if below else 8, symmetric=True)
     # Without a common power of ten, which would overlap the label below.
     bar.formatter = StrMethodFormatter("{x:g}")
-    bar.ax.grid(False)
-    if below:
-        bar.set_label("linear light, white = 1; the channel furthest off")
 
 
 def comparison(

@@ -1,16 +1,33 @@
 """Figures of parameters by pixel or texel: colours, scales and standard errors."""
 
+import itertools
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
-from matplotlib.colors import LogNorm
+from matplotlib.colors import LogNorm, to_rgb
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
+from phongfit.maps.pixel.flags import Flag
+from phongfit.maps.result import Maps
 from phongfit.report.pictures import displayed
-from phongfit.report.style import picture, quiet, styled
+from phongfit.report.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    ORANGE,
+    PALE,
+    SKY,
+    VERMILION,
+    picture,
+    quiet,
+    say,
+    scale,
+    styled,
+)
 
 TITLES = {
     "ambient": "ambient ρ_a",
@@ -92,20 +109,15 @@ def draw_scale(
     shown = np.where(identified & np.isfinite(numbers), numbers, np.nan)
     if np.isnan(shown).all():
         axes.imshow(np.full((*numbers.shape, 3), float(UNIDENTIFIED)))
-        words = "no pixel identifies it"
-        axes.text(0.5, 0.5, words, ha="center", va="center", transform=axes.transAxes)
-        return
+        return say(axes, "no pixel identifies it")
     low, high = np.nanquantile(shown, [0.005, 0.995])
     options: dict[str, Any] = {"vmin": low, "vmax": max(high, low + 1e-12)}
     if low > 0 and (logarithmic or high > 20 * low):
         options = {"norm": LogNorm(low, max(high, 1.01 * low))}
     axes.set_facecolor(UNIDENTIFIED)
     drawn = axes.imshow(shown, cmap="viridis", interpolation="nearest", **options)
-    figure = axes.get_figure(root=True)
-    assert figure is not None
-    bar = figure.colorbar(drawn, ax=axes, fraction=0.046, pad=0.03)
+    bar = scale(axes, drawn)
     bar.ax.tick_params(which="both", labelsize=7)
-    bar.ax.grid(False)
     if "norm" in options:
         _plain_ticks(bar.ax.yaxis, few=bool(high < 100 * low))
 
@@ -116,3 +128,53 @@ def _plain_ticks(axis: Axis, few: bool) -> None:
     axis.set_minor_locator(between)
     axis.set_major_formatter(FuncFormatter(lambda value, place: f"{value:g}"))
     axis.set_minor_formatter(FuncFormatter(lambda value, place: f"{value:g}"))
+
+
+PALETTE = (ORANGE, SKY, GREEN, VERMILION, BLUE, "#cc79a7", "#f0e442", BLACK)
+
+
+def draw_parameter(maps: Maps, name: str) -> Figure:
+    """A figure of a map: its colours, its numbers with a scale, its standard errors."""
+    values = np.asarray(getattr(maps, name), float)
+    errors = np.asarray(getattr(maps.stderr, name), float)
+    return draw_numbers(name, values, errors, ~maps.flagged(Flag.OUTSIDE))
+
+
+def draw_flags(maps: Maps) -> Figure:
+    """A figure of the pixels' flags, a colour for each reason.
+
+    A pixel with several flags has the colour of its rarest flag.
+    """
+    inside = ~maps.flagged(Flag.OUTSIDE)
+    raised = {f: maps.flagged(f) & inside for f in Flag if f != Flag.OUTSIDE}
+    raised = {flag: marked for flag, marked in raised.items() if marked.any()}
+    shown = np.where(inside, 1.0, float(UNIDENTIFIED))[..., None] * np.ones(3)
+    colours = dict(zip(raised, itertools.cycle(PALETTE), strict=False))
+    for flag in sorted(raised, key=lambda flag: -int(raised[flag].sum())):
+        shown[raised[flag]] = to_rgb(colours[flag])
+    height, width = inside.shape
+    with styled():
+        side = float(np.clip(3.2 * width / height, 2.4, 6))
+        figure = picture(side + 2.6, 3.5)
+        axes = figure.subplots()
+        axes.imshow(shown, interpolation="nearest")
+        quiet(axes)
+        axes.set_title("what to know of the pixels")
+        free = int((inside & (maps.flags == 0)).sum())
+        entries = [("white", f"identified, no flag: {free:,}")]
+        entries += [
+            (colours[flag], f"{_words(flag)}: {int(marked.sum()):,}")
+            for flag, marked in raised.items()
+        ]
+        if not inside.all():
+            entries.append((UNIDENTIFIED, f"outside: {int((~inside).sum()):,}"))
+        patches = [
+            Patch(facecolor=colour, edgecolor=PALE, linewidth=0.5, label=label)
+            for colour, label in entries
+        ]
+        figure.legend(handles=patches, loc="outside right center")
+    return figure
+
+
+def _words(flag: Flag) -> str:
+    return str(flag.name).lower().replace("_", " ")

@@ -8,6 +8,9 @@ import io
 from typing import Any, Literal
 
 import matplotlib
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colorbar import Colorbar
 from matplotlib.figure import Figure
 
 INK, PALE, GRID = "#1b1f24", "#66707a", "#d8dde2"
@@ -77,6 +80,21 @@ def png(figure: Figure, dpi: float) -> bytes:
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=dpi)
     return stream.getvalue()
+
+
+def scale(axes: Axes, shown: ScalarMappable, label: str = "", **place: Any) -> Colorbar:
+    """The scale of colours beside a picture."""
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    bar = figure.colorbar(shown, ax=axes, fraction=0.046, pad=0.03, **place)
+    bar.set_label(label)
+    bar.ax.grid(False)
+    return bar
+
+
+def say(axes: Axes, words: str) -> None:
+    """Write words in the middle of axes, in place of a picture."""
+    axes.text(0.5, 0.5, words, ha="center", va="center", transform=axes.transAxes)
 
 
 def quiet(axes: Any) -> None:

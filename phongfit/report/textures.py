@@ -1,28 +1,24 @@
 """Figures and the HTML report of fitted textures."""
 
 import os
-from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from phongfit.files.dataset import Dataset
-from phongfit.files.outputs import replacing
 from phongfit.fitting.result import film_words
 from phongfit.fitting.texels.result import TextureFit
 from phongfit.fitting.texels.sums import AbstractTexels, Grid
 from phongfit.fitting.texels.vertices import Vertices
 from phongfit.geometry.meshes import Mesh
-from phongfit.plain import readable
 from phongfit.rendering.render import render
-from phongfit.report.html import fill, row, source
-from phongfit.report.page import full_stop
-from phongfit.report.panels import FittedImage, Panel, about_pictures, trio
-from phongfit.report.pictures import Row, comparison
-from phongfit.report.plots import brightening, chosen
+from phongfit.report.html import panel, row
+from phongfit.report.page import fill_page
+from phongfit.report.pictures import Row
+from phongfit.report.plots import chosen, compared
 from phongfit.report.scales import TITLES, draw_numbers, draw_scale
 from phongfit.report.style import picture, styled
-from phongfit.report.words import listed, settings, versions
+from phongfit.report.words import listed, scene_words, versions
 from phongfit.scene import Scene
 
 
@@ -76,25 +72,16 @@ def _laid_out(
 
 def draw_photographs(found: TextureFit, data: Dataset) -> Figure:
     """A figure of photograph, fit and residual of some of the photographs."""
-    images, factor = _some(found, data)
-    brighter = f"  (shown {factor:.2g} × brighter)" if factor > 1 else ""
-    rows = [Row(*one.shown, f"{one.name}{brighter}") for one in images]
-    return comparison(rows, ("photograph", "fit"), brighten=factor)
+    return compared(_rows(found, data))
 
 
-class _Named(NamedTuple):
-    name: str
-    shown: FittedImage
-
-
-def _some(found: TextureFit, data: Dataset) -> tuple[list[_Named], float]:
-    """Some of the photographs with their fits, and a common factor for display."""
-    images = []
+def _rows(found: TextureFit, data: Dataset) -> list[Row]:
+    """Some of the photographs with their fits."""
+    rows = []
     for k in chosen(len(data.images)):
         fitted = np.asarray(render(found.scene(data.scenes[k]), found.material))
-        parts = FittedImage(data.images[k], fitted, found.residuals[k])
-        images.append(_Named(data.names[k], parts))
-    return images, brightening(one.shown.photograph for one in images)
+        rows.append(Row(data.images[k], fitted, found.residuals[k], data.names[k]))
+    return rows
 
 
 def write_page(
@@ -107,47 +94,26 @@ def write_page(
 
     **Raises:** `OSError` that names `path`.
     """
-    images, factor = _some(found, data)
-    with styled():
-        shown = [trio(one.shown, one.name, factor) for one in images]
-        first, one = data.scenes[0], found.texels.one
-        textures = [
-            _panel(draw_texture(found, n, first), TITLES[n]) for n in found.names
-        ]
-        textures.append(
-            _panel(draw_seen(found, first), f"How many pixels see each {one}")
-        )
-    names = {
-        "summary": "Summary",
-        **({"warnings": "Warnings"} if found.warnings else {}),
-        "textures": "Textures",
-        "pictures": "Pictures",
-        **({"parameters": "Numbers"} if found.shared else {}),
-        "assumptions": "Assumptions",
-        "repeat": "How to repeat",
-    }
-    text = fill(
+    first, one = data.scenes[0], found.texels.one
+    figures = {TITLES[n]: draw_texture(found, n, first) for n in found.names}
+    figures[f"How many pixels see each {one}"] = draw_seen(found, first)
+    fill_page(
+        path,
         "textures.html",
+        found,
+        _rows(found, data),
+        len(data.images),
         title=data.name,
-        converged=found.converged,
-        sections=list(names.items()),
         sentences=_summary(found),
-        warnings=[full_stop(warning) for warning in found.warnings],
-        textures=textures,
-        images=shown,
+        textures=[
+            panel(figure, alt, inches=float(figure.get_size_inches()[0]))
+            for alt, figure in figures.items()
+        ],
         places=found.texels.word,
-        about_pictures=about_pictures(factor, len(images), len(data.images)),
         rows=[row(*one) for one in found.shared],
         assumptions=_assumptions(found, data),
         command=command,
     )
-    with replacing(path) as temporary:
-        temporary.write_text(readable(text), encoding="utf-8")
-
-
-def _panel(figure: Figure, alt: str) -> Panel:
-    inches = float(figure.get_size_inches()[0])
-    return {"source": source(figure), "alt": alt, "caption": "", "inches": inches}
 
 
 def _summary(found: TextureFit) -> list[str]:
@@ -189,14 +155,10 @@ def _interpolated(texels: AbstractTexels) -> str:
 
 
 def _assumptions(found: TextureFit, data: Dataset) -> dict[str, str]:
-    scene = data.scenes[0]
-    lights = sorted({type(one).__name__ for s in data.scenes for one in s.lights})
     films = dict.fromkeys(film_words(film) for film in data.films)
     return {
         **({"exposures": "; ".join(data.notes)} if data.notes else {}),
-        "specular model": settings(scene.specular_model),
-        "shading": type(scene.shading).__name__,
-        "lights": listed(lights) or "none",
+        **scene_words(data.scenes),
         "textures": _interpolated(found.texels),
         "film": f"{' / '.join(films)}; light is linear, white = 1",
         "noise": f"{found.noise:.3g}",

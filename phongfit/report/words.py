@@ -1,16 +1,15 @@
 """A fit in plain words: summary, units and assumptions."""
 
-import importlib.metadata
-import platform
 from collections.abc import Sequence
 from typing import Any
 
-import jax
 import numpy as np
 
+from phongfit.files.fits import made_with
 from phongfit.fitting.problem.parameters import REFLECTANCES
 from phongfit.fitting.result import Fit, Images
 from phongfit.fitting.uncertainty.numbers import number_with_error
+from phongfit.scene import Scene
 
 _MATERIAL = ("ambient", "diffuse", "specular", "shininess")
 # By the last word of a label.
@@ -143,26 +142,37 @@ def _parameter_words(fit: Fit, name: str) -> str:
 
 def assumptions(fit: Fit) -> dict[str, str]:
     """Assumptions of a fit, as names and values."""
-    scene = fit.scene[0] if isinstance(fit.scene, tuple) else fit.scene
+    scenes = fit.scene if isinstance(fit.scene, tuple) else (fit.scene,)
     unknowns = fit.solution.problem.unknowns
-    model = settings(scene.specular_model)
     noise = f"{fit.noise:.3g} of white, {'given' if fit.noise_given else 'estimated'}"
-    kinds = sorted({type(light).__name__ for light in scene.lights})
-    lights = f"{len(scene.lights)} an image ({', '.join(kinds) or 'none'})"
     return {
-        "specular model": model,
-        "shading": type(scene.shading).__name__,
-        "surface": type(scene.surface).__name__,
-        "lights": f"{lights}, shadows {'thrown' if scene.shadows else 'not thrown'}",
+        **scene_words(scenes),
         "film": f"{fit.film}; light is linear, white = 1",
         "noise": noise,
         "loss": fit.loss,
         "unknown": ", ".join(unknowns.names),
         "bounds": bounds_words(fit),
         "known beforehand": known_words(fit),
-        "precision": str(unknowns.lower.dtype),
         "versions": versions(),
     }
+
+
+def scene_words(scenes: Sequence[Scene]) -> dict[str, str]:
+    """Assumptions that all scenes of a fit share, as names and values."""
+    scene = scenes[0]
+    kinds = sorted({type(light).__name__ for one in scenes for light in one.lights})
+    lights = f"{len(scene.lights)} an image ({', '.join(kinds) or 'none'})"
+    return {
+        "specular model": settings(scene.specular_model),
+        "shading": type(scene.shading).__name__,
+        "surface": type(scene.surface).__name__,
+        "lights": f"{lights}, shadows {'thrown' if scene.shadows else 'not thrown'}",
+    }
+
+
+def versions() -> str:
+    """Versions of the libraries, the precision and the platform, in words."""
+    return ", ".join(f"{name} {version}" for name, version in made_with().items())
 
 
 def settings(module: Any) -> str:
@@ -218,11 +228,3 @@ def _uncertain(fit: Fit) -> tuple[list[str], list[bool]]:
     asked = fit.specification
     names = [n for n in asked.uncertain_arrays if n not in asked.unknowns]
     return names, [True] * len(names)
-
-
-def versions() -> str:
-    """Versions of the libraries and the device, in words."""
-    names = ("phongfit", "jax", "optimistix", "numpy")
-    found = [f"{name} {importlib.metadata.version(name)}" for name in names]
-    device = jax.devices()[0].platform
-    return ", ".join([*found, f"Python {platform.python_version()}", f"on {device}"])

@@ -139,20 +139,6 @@ def test_photographs_each_of_which_is_kept_otherwise(tmp_path, capsys):
 
 
 @pytest.mark.extended
-def test_exposures_that_are_not_stated(tmp_path, capsys):
-    """Lamps' strengths contain them, and that is said."""
-
-    def save(folder, number, levels):
-        Image.fromarray(levels).save(folder / f"{number + 1}.png")
-
-    words = exposed(tmp_path / "photos", save)
-    check_lamps(words, tmp_path / "out", STRENGTHS * SHARES)
-    said = " ".join(capsys.readouterr().out.split())
-    assert "no exposure times are stated: taken to be the same in all" in said
-    assert "where they differ, lamps' strengths contain them" in said
-
-
-@pytest.mark.extended
 def test_a_folder_of_raw_photographs(tmp_path):
     pytest.importorskip("rawpy", reason="rawpy is not installed here")
     studio, folder = Studio(), tmp_path / "photos"
@@ -177,12 +163,6 @@ def bad_folder(folder, kind):
         case "one photograph":
             images = images[:1]
             words = "expected several photographs, each under its own lamp, got one"
-        case "no sphere":
-            images = [np.full_like(image, 0.3) for image in images]
-            words = "no sphere is seen in the photographs; give its circle"
-        case "unequal sizes":
-            images[3] = images[3][:100]
-            words = "4.png: expected 240 × 180 pixels, as 1.png has, got 240 × 100"
         case "a list of others":
             pf.write_lp(folder / "a.lp", ["7.png", *names[1:]], LAMPS)
             words = "1 of the 5 photographs in the list of lights are missing, 7.png"
@@ -196,9 +176,7 @@ def bad_folder(folder, kind):
 
 
 @pytest.mark.parametrize(
-    "kind",
-    ["one photograph", "no sphere", "unequal sizes", "a list of others"]
-    + ["a lamp of zeros"],
+    "kind", ["one photograph", "a list of others", "a lamp of zeros"]
 )
 def test_folders_that_are_no_capture(tmp_path, capsys, kind):
     folder = tmp_path / "photos"

@@ -24,7 +24,7 @@ from phongfit.files.images import read_image, write_image
 from phongfit.files.materials import read_material, write_material
 from phongfit.files.outputs import WORK
 from phongfit.fitting.problem.specification import Specification
-from tests.commands.conftest import ENDS, SIDE, full_disk, interrupt
+from tests.commands.conftest import ENDS, SIDE
 from tests.commands.test_loading import check_public
 from tests.helpers import said
 
@@ -106,13 +106,6 @@ def test_a_file_of_version_1(tmp_path):
     with pytest.raises(
         ValueError, match=r"unidentified\[2\]: expected a valid boolean, got 1"
     ):
-        read_fit_record(path)
-
-
-def test_names_of_version_1_are_no_names_of_version_2(fitted, tmp_path):
-    path = tmp_path / "fit.json"
-    path.write_text((fitted / "fit.json").read_text().replace("n_samples", "samples"))
-    with pytest.raises(ValueError, match="did you mean 'n_samples'"):
         read_fit_record(path)
 
 
@@ -228,39 +221,6 @@ def test_a_result_outlives_its_pictures(
     assert f"\n{out}: fit.json" in capfd.readouterr().out
 
 
-def test_no_half_picture_is_kept(brass, tmp_path, monkeypatch):
-    def half(figure, path, **options):
-        Path(path).write_bytes(b"half")
-        interrupt()
-
-    monkeypatch.setattr("matplotlib.figure.Figure.savefig", half)
-    out = tmp_path / "out"
-    assert main(["fit", str(brass), "-o", str(out), "--report", "quick"]) == 130
-    assert os.listdir(out) == ["fit.json"]
-
-
-def test_an_interrupt_before_numbers_are_written(brass, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("phongfit.commands.fit.write_fit_record", interrupt)
-    out = tmp_path / "out"
-    assert main(["fit", str(brass), "-o", str(out), "--report", "none"]) == 130
-    # Before it, a slow machine says how long it has been at it.
-    assert capsys.readouterr().err.endswith("error: interrupted\n")
-    assert not list(tmp_path.iterdir())
-
-
-def test_files_put_there_while_it_runs(brass, tmp_path, monkeypatch):
-    out = tmp_path / "out"
-
-    def meanwhile(*args, **kwargs):
-        (out / "notes.txt").write_text("mine")
-        return pf.fit(*args, **kwargs)
-
-    monkeypatch.setattr(FIT, meanwhile)
-    assert main(["fit", str(brass), "-o", str(out), "--report", "none"]) == 0
-    assert sorted(os.listdir(out)) == ["fit.json", "notes.txt"]
-    assert (out / "notes.txt").read_text() == "mine"
-
-
 @pytest.mark.extended
 def test_names_of_all_kinds(brass, tmp_path, monkeypatch):
     """Formulas of matplotlib, bytes that are no UTF-8, a terminal of ASCII."""
@@ -279,15 +239,6 @@ def test_names_of_all_kinds(brass, tmp_path, monkeypatch):
     record = read_fit_record(out / "fit.json")
     assert record.data.name == r"$x_$ caf\udce9"
     assert "$a_$.png" in record.data.inputs
-
-
-def test_a_full_disk(brass, tmp_path, capsys):
-    out = tmp_path / "out"
-    with full_disk(200):
-        assert main(["fit", str(brass), "-o", str(out), "--report", "none"]) == 2
-    err = capsys.readouterr().err
-    assert err.startswith(f"error: {out}/fit.json: cannot be written: "), err
-    assert err.count("\n") == 1 and not list(tmp_path.iterdir())
 
 
 def test_a_fit_goes_to_other_programs(fitted, tmp_path):
@@ -320,7 +271,7 @@ def test_a_fit_goes_to_other_programs(fitted, tmp_path):
         (["--noise", "nan"], "noise: expected ... got nan"),
         (["--max-steps", "0"], "max_steps: expected ... got 0"),
         (["--unknowns", "colour"], "unknowns: expected one of ambient"),
-        (["--scene", "scene.json"], "is a folder, which says this itself"),
+        (["--scene", "scene.json"], "is a data set, which says this itself"),
         (["--loss", "l2"], "--loss"),
         (["--like", "no.json"], "no.json: cannot be read"),
     ],
@@ -340,20 +291,10 @@ def test_bad_options(brass, tmp_path, capsys, args, words):
             {"format": "phongfit truth"},
             "format: expected 'phongfit fit' ... got \"phongfit truth\"",
         ),
-        ({"version": 3}, "version: expected ... got 3"),
         ({"values": [0.5]}, "values: expected 10, one a label, got 1"),
         ({"covariance": [[1.0]]}, "covariance: expected 10 rows of 10 numbers"),
-        ({"settings__loss": "l2"}, 'settings.loss: expected ... got "l2"'),
         ({"settings__lost": 1}, "\"lost\" is no key of it; did you mean 'loss'?"),
-        ({"settings__noise": -1}, "settings.noise: expected ... got -1"),
-        ({"settings__bounds": {"diffuse": [1]}}, "settings.bounds.diffuse"),
-        ({"data__inputs": {"a.png": "zz"}}, "data.inputs"),
         ({"material__diffuse": [[0.1], [0.1, 0.2]]}, "rows of one length"),
-        (
-            {"material__diffuse": -1.0},
-            "material: diffuse: expected finite numbers ≥ 0, got -1",
-        ),
-        ({"labels": []}, "labels: expected ... got []"),
     ],
 )
 def test_a_wrong_record_names_the_field(fitted, tmp_path, changes, words):

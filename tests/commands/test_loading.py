@@ -11,7 +11,7 @@ import pytest
 
 import phongfit as pf
 from phongfit.commands.data import DataOptions, read_data
-from phongfit.commands.loading import loading_lines
+from phongfit.commands.fit import loading_lines
 from tests.calibration.studio import directions
 
 LAMPS = directions(2)
@@ -58,6 +58,11 @@ def folder(tmp_path_factory) -> Path:
     for name in ("1.png", "2.png"):
         (folder / "set" / name).write_bytes((folder / name).read_bytes())
     (folder / "set" / "scene.json").write_text((folder / "listed.json").read_text())
+    listed[0] |= {"camera": scene["camera"]}
+    (folder / "own").mkdir()
+    (folder / "own" / "1.png").write_bytes((folder / "1.png").read_bytes())
+    own = json.dumps(scene | {"images": listed[:1]})
+    (folder / "own" / "scene.json").write_text(own)
     response = {"format": "phongfit response", "version": 1, "light": GAMMA}
     (folder / "response.json").write_text(json.dumps(response))
     pf.write_lp(folder / "two.lp", ["1.png", "2.png"], LAMPS)
@@ -79,6 +84,7 @@ def folder(tmp_path_factory) -> Path:
         ("2.png", {"scene": "listed.json", "white": 250}),
         ("set/2.png", {"scene": "set/scene.json"}),
         ("1.jpg", {"scene": "both.json", "encoding": "response.json"}),
+        ("own/1.png", {"scene": "own/scene.json"}),
         ("set", {}),
     ],
 )
@@ -107,12 +113,3 @@ def test_the_lines_read_the_same_data(folder, dataset, options):
     np.testing.assert_array_equal(data.masks, got[2])
     if data.films[0].jpeg is not None:
         assert place["film"] == data.film
-
-
-def test_a_scene_file_of_which_images_have_cameras_is_too_long(folder, tmp_path):
-    scene = json.loads((folder / "listed.json").read_text())
-    scene["images"][0]["camera"] = scene["camera"]
-    (tmp_path / "own.json").write_text(json.dumps(scene))
-    (tmp_path / "1.png").write_bytes((folder / "1.png").read_bytes())
-    asked = DataOptions(tmp_path / "1.png", scene=tmp_path / "own.json")
-    assert loading_lines(asked, ONE) == ""

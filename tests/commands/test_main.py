@@ -41,23 +41,6 @@ def test_help_reads_like_a_manual(command, capsys):
     assert not re.search(r"│ +[a-z]\S* {50,}│\n│ +[a-z]", text)
 
 
-@pytest.mark.parametrize(
-    "args, words",
-    [
-        ([], "expected one of synth, calibrate, response, scene, ... lab, got none"),
-        (["fti"], "there is no command 'fti'; did you mean 'fit'? (see --help)"),
-        (["zzz"], "there is no command 'zzz'; one of synth, calibrate"),
-        (["--quick"], "--quick"),
-        (["fit"], "DATASET"),
-    ],
-)
-def test_what_is_no_command(args, words, capsys):
-    assert main(args) == 2
-    output = capsys.readouterr()
-    assert output.err.startswith("error: ") and said(words, output.err), output.err
-    assert output.err.count("\n") == 1 and output.out == ""
-
-
 def test_help_needs_no_jax():
     """It would take a second."""
     program = (
@@ -164,12 +147,6 @@ def test_where_an_image_goes_is_looked_at_first(
     assert main(["render", str(brass), *filled]) == 2
     told = capsys.readouterr().err
     assert said(words, told) and told.count("\n") == 1
-
-
-def test_where_a_fit_goes_is_looked_at_first(brass, monkeypatch, capsys):
-    monkeypatch.setattr("phongfit.commands.fit.read_data", interrupt)
-    assert main(["fit", str(brass), "-o", str(brass)]) == 2
-    assert f"{brass}: the folder is not empty" in capsys.readouterr().err
 
 
 def test_predict(brass, tmp_path, capsys):

@@ -70,15 +70,6 @@ def test_a_matte_sphere_gives_it_too(photographs, tmp_path, capsys):
     assert light[80:200] == pytest.approx(scale * NUMBERS[80:200] ** 1.6, abs=0.01)
 
 
-def test_an_sRGB_camera_is_said_to_be_one(tmp_path, capsys):
-    for number, exposure in enumerate(EXPOSURES, 1):
-        pf.write_image(tmp_path / f"{number}.png", exposure * patches(), "srgb")
-    out = tmp_path / "r.json"
-    words = ["response", f"{tmp_path}", "-o", f"{out}", "--exposures"]
-    assert main([*words, *map(str, EXPOSURES)]) == 0
-    assert "use --encoding srgb" in capsys.readouterr().out
-
-
 def test_twelve_bits_in_files_of_sixteen(tmp_path, capsys):
     for number, exposure in enumerate(EXPOSURES, 1):
         levels = np.round(4095 * encode(np.clip(exposure * patches(), 0, 1), "srgb"))

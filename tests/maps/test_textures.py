@@ -10,7 +10,7 @@ from matplotlib.colors import LogNorm
 import phongfit as pf
 from phongfit.maps.result import MAP_PARAMETERS, Maps, ParameterMaps
 from phongfit.maps.textures import filled_in, texture_maps
-from phongfit.report.maps import draw_flags, draw_parameter
+from phongfit.report.scales import draw_flags, draw_parameter
 
 SIZE = (2, 3)
 # Of six pixels: two that identify all, a matte one, one that no light shows a highlight

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from phongfit.report.page import page, write_page
+from phongfit.report.page import write_page
 from phongfit.report.panels import convergence, profiles
 from phongfit.report.words import bounds_words, known_words, listed, unit
 
@@ -31,15 +31,27 @@ class Elements(html.parser.HTMLParser):
         return [attributes for name, attributes in self.tags if name == tag]
 
 
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    """The elements of a fit's page."""
+    path = tmp_path_factory.mktemp("page") / "report.html"
+
+    def elements(fit, **given) -> Elements:
+        write_page(path, fit, **given)
+        return Elements(path.read_text(encoding="utf-8"))
+
+    return elements
+
+
 EVIL = "<script>alert('&')</script>"
 
 
 @pytest.fixture(scope="module")
-def whole(one) -> Elements:
+def whole(page, one) -> Elements:
     """The page of a fit, with words from outside that are never markup."""
     given = {"title": EVIL, "names": [EVIL], "assumptions": {EVIL: EVIL}}
     command = f"phongfit fit ball {EVIL}"
-    return Elements(page(one, **given, command=command, diagnostics=one.diagnose()))
+    return page(one, **given, command=command, diagnostics=one.diagnose())
 
 
 def words(elements: Elements) -> str:
@@ -96,9 +108,8 @@ def test_it_stands_alone_and_pictures_have_words(whole):
 
 
 @pytest.mark.extended
-def test_what_is_not_identifiable(open_fit):
-    elements = Elements(page(open_fit, title="matte"))
-    text = words(elements)
+def test_what_is_not_identifiable(page, open_fit):
+    text = words(page(open_fit, title="matte"))
     assert "The data do not identify shininess: the warnings say why." in text
     assert "± ∞" in text and "not identifiable" in text
     assert "At the end of what was allowed: " in text and "at its bound" in text
@@ -110,30 +121,29 @@ def test_what_is_not_identifiable(open_fit):
 
 
 @pytest.mark.extended
-def test_of_many_photographs_some_are_shown(six):
-    text = words(Elements(page(six, title="matte")))
+def test_of_many_photographs_some_are_shown(page, six):
+    text = words(page(six, title="matte"))
     assert "Shown are 4 of 6." in text and "times brighter than they are" in text
     assert "image 5" in text
 
 
-def test_what_did_not_converge(one):
+def test_what_did_not_converge(page, one):
     failed = dataclasses.replace(
         one, converged=False, warnings=("the solver did not converge",)
     )
-    text = words(Elements(page(failed, title="failed", diagnostics=failed.diagnose())))
+    text = words(page(failed, title="failed", diagnostics=failed.diagnose()))
     assert "NOT converged" in text and "1 warning " in text
     assert "The solver did not converge in" in text
     assert "There are none: the solver did not converge." in text
 
 
-def test_written_whole_or_not_at_all(one, tmp_path, monkeypatch):
+def test_written_whole_or_not_at_all(one, tmp_path):
     path = tmp_path / "report.html"
     write_page(path, one, title="first")
     before = path.read_text(encoding="utf-8")
     assert before.startswith("<!doctype html>") and before.rstrip().endswith("</html>")
     with pytest.raises(ValueError, match="names: expected 1, one an image, got 2"):
         write_page(path, one, title="second", names=["a", "b"])
-    monkeypatch.setattr("phongfit.report.page.page", lambda *_, **__: "third")
     with pytest.raises(OSError, match="is a file, expected a folder"):
         write_page(path / "report.html", one, title="t")
     assert path.read_text(encoding="utf-8") == before

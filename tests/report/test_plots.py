@@ -16,10 +16,10 @@ from phongfit.report.plots import (
     MOST_UNKNOWNS,
     brightening,
     chosen,
+    residuals,
     shown_unknowns,
 )
 from phongfit.report.profiles import difference_words, draw_profile
-from phongfit.report.residuals import residuals
 from phongfit.report.style import picture, png, styled
 from tests.helpers import near
 
@@ -152,11 +152,6 @@ def test_of_many_unknowns_the_most_correlated_are_shown(one):
     )
     shown = shown_unknowns(wide)
     assert len(shown) == MOST_UNKNOWNS and {0, 29} <= set(shown)
-
-
-def test_nothing_to_correlate(one):
-    none = dataclasses.replace(one, unidentified=np.ones(10, bool))
-    assert "nothing to correlate" in texts(none.plot_correlations())
 
 
 def test_profile(one):

@@ -12,11 +12,11 @@ from unittest import mock
 import numpy as np
 
 from phongfit.cli import COMMANDS
-from phongfit.commands.complaints import OPTION
 from phongfit.files.strict_json import parse_json
 from tests.campaign.cases import Case, Kind, Wrong, command
 
 STOCK = "options"
+OPTION = re.compile(r"(?<![\w-])--[a-z][\w-]*")
 SMALL = ["--unknowns", "diffuse", "--noise", "0.01"]
 
 # What is run, and how it is right.
