@@ -149,6 +149,8 @@ class _Unpacker:
     def _made(self, name: str, parts: dict[str, Any]) -> Any:
         kind = _class(name)
         fields = _fields(kind)
+        # Older versions had fields that are gone; they were mostly `None`.
+        parts = {n: p for n, p in parts.items() if n in (fields or n) or p is not None}
         missing = {name for name in fields or () if not hasattr(kind, name)}
         if fields is None or not missing <= set(parts) <= set(fields):
             name, got = shorten(name), shorten(", ".join(map(str, parts)))

@@ -157,7 +157,7 @@ def assumptions(fit: Fit) -> dict[str, str]:
         "film": f"{fit.film}; light is linear, white = 1",
         "noise": noise,
         "loss": fit.loss,
-        "unknown": ", ".join(unknowns.names),
+        "unknown": ", ".join(unknowns.sought),
         "bounds": bounds_words(fit),
         "known beforehand": known_words(fit),
         "precision": str(unknowns.lower.dtype),
@@ -202,7 +202,7 @@ def known_words(fit: Fit) -> str:
     groups = (
         ("held", labels, unknowns.fixed),
         ("tied", fit.labels, fit.tied),
-        ("with a prior", labels, unknowns.has_prior),
+        ("with a prior", labels, unknowns.has_prior & ~unknowns.entry_nuisance),
         ("with an error of its own", *_uncertain(fit)),
     )
     words = [
