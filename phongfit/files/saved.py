@@ -198,6 +198,13 @@ class _Unpacker:
     def _made(self, name: str, parts: dict[str, Any]) -> Any:
         kind = _class(name)
         fields = _fields(kind)
+        if fields is not None:
+            # A field that this version does not have may be left out if it is empty.
+            parts = {
+                field: part
+                for field, part in parts.items()
+                if field in fields or part is not None
+            }
         missing = {name for name in fields or () if not hasattr(kind, name)}
         if fields is None or not missing <= set(parts) <= set(fields):
             name, got = shorten(name), shorten(", ".join(map(str, parts)))

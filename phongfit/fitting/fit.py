@@ -29,8 +29,9 @@ from phongfit.fitting.problem.unknowns import Unknowns, in_units
 from phongfit.fitting.result import Fit
 from phongfit.fitting.solve.edges import keep_off_edges
 from phongfit.fitting.solve.guesses import guess_places, look, moves_lights
-from phongfit.fitting.solve.jpeg import Restored, restore
+from phongfit.fitting.solve.jpeg import restore
 from phongfit.fitting.solve.search import SearchResult, search
+from phongfit.fitting.solve.solution import polish
 from phongfit.fitting.solve.start import (
     NEAR,
     ROBUST_NEAR,
@@ -39,12 +40,6 @@ from phongfit.fitting.solve.start import (
     choose_few,
 )
 from phongfit.fitting.summary import FittedImage, summarize
-from phongfit.fitting.uncertainty.inherited import (
-    beside,
-    refine,
-    with_inherited,
-    with_samples_of,
-)
 from phongfit.fitting.uncertainty.statistics import sandwich_sums
 from phongfit.fitting.uncertainty.tiles import (
     Measured,
@@ -57,10 +52,6 @@ from phongfit.programs import program
 from phongfit.rendering.film import Film
 from phongfit.rendering.pixels import PixelTerms, resolve_terms
 from phongfit.scene import Scene
-
-# Most alternations between the JPEG correction and the refinement of uncertain scenes,
-# and the change that ends them, in standard deviations of the scenes' priors.
-TURNS, STAYS = 3, 0.3
 
 
 @checked
@@ -234,35 +225,12 @@ def _fit_once(
         found, sources, seen, noise is not None, max_steps
     )
     side = max(tile_side(*source.mask.shape) for source in sources)
-    nuisance, rounds = setting.nuisance, any(film.jpeg is not None for film in films)
-    noise_given, restored, moved, scores = noise is not None, None, None, None
-
-    def restored_now() -> Restored:
-        also = None if nuisance is None else beside(nuisance, moved)
-        return restore(found, sources, films, noise_given, max_steps, side, also)
-
-    if rounds:
-        restored = restored_now()
-    # Alternate: errors of `uncertain` lamps raise the noise level, and the JPEG
-    # correction depends on that level.
-    for _ in range(TURNS if rounds else 1):
-        if nuisance is None:
-            break
-        begin, before = found, 0.0 if moved is None else moved
-        if restored is not None:
-            begin, scores = restored.solution, restored.scores
-        refined, sources, moved = refine(
-            begin, sources, nuisance, noise_given or rounds, max_steps, moved, scores
+    noise_given, drawn = noise is not None, None
+    if any(film.jpeg is not None for film in films):
+        found, sources, drawn = restore(
+            found, sources, films, noise_given, max_steps, side
         )
-        found = with_samples_of(refined, found) if rounds else refined
-        restored = restored_now() if rounds else None
-        if np.abs(moved - before).max(initial=0) < STAYS:
-            break
-    if restored is not None:
-        found, sources, scores = restored.solution, restored.sources, restored.scores
-    if nuisance is not None:
-        problem = with_inherited(found.problem, found.y, nuisance, moved, scores)
-        found = dataclasses.replace(found, problem=problem)
+    found = dataclasses.replace(found, y=polish(found.problem, found.y))
     setting = dataclasses.replace(setting, sources=sources)
     given = {"mask": mask, "weights": weights, "noise": noise}
     # Directions are now relative to those of the best start.
@@ -293,7 +261,7 @@ def _fit_once(
         arrays=tuple(name for name, value in given.items() if not is_number(value)),
         at_edges=at_edges,
         plateau=plateau,
-        drawn=None if restored is None else restored.drawn,
+        drawn=drawn,
         rival=rival,
     )
 

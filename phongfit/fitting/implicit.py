@@ -13,8 +13,10 @@ from jaxtyping import Array, Float
 from phongfit.checks import as_floats
 from phongfit.edge import checked
 from phongfit.fitting.problem.inputs import entries
+from phongfit.fitting.problem.parameters import scene_arrays
 from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.samples import by_channel, join_pixels
+from phongfit.fitting.problem.unknowns import Unknowns
 from phongfit.fitting.result import Fit
 from phongfit.fitting.solve.solution import solve
 from phongfit.material import Material
@@ -97,7 +99,24 @@ def _other_problem(fit: Fit, scene: Scene | Sequence[Scene], image: Any) -> Prob
         for view, one in zip(views, scenes, strict=True)
     )
     samples = eqx.tree_at(lambda s: s.views, samples, views)
-    return eqx.tree_at(lambda p: p.samples, old, samples)
+    problem = eqx.tree_at(lambda p: p.samples, old, samples)
+    return eqx.tree_at(
+        lambda p: (p.unknowns.factor, p.unknowns.offset),
+        problem,
+        _held(old.unknowns, scenes),
+    )
+
+
+def _held(unknowns: Unknowns, scenes: tuple[Scene, ...]) -> tuple[Array, Array]:
+    """Factors and offsets that hold nuisances at the values in the scenes."""
+    offset = unknowns.offset
+    for name, places in unknowns.parts(np.arange(len(offset))).items():
+        if name in unknowns.sought:
+            continue
+        arrays = [scene_arrays(one)[name] for one in scenes[: len(places)]]
+        there = jnp.stack([one.ravel() for one in arrays])
+        offset = offset.at[places].set(there.astype(offset.dtype))
+    return jnp.where(unknowns.entry_nuisance, 0, unknowns.factor), offset
 
 
 def _lost(fit: Fit) -> Float[Array, "3 samples"] | float:
@@ -119,6 +138,7 @@ def _with_derivative(
     """The solution, with its derivative in the problem by implicit differentiation."""
     unknowns = problem.unknowns
     held = (solution <= unknowns.lower) | (solution >= unknowns.upper)
+    held |= unknowns.y_nuisance
     tolerance = float(jnp.finfo(solution.dtype).eps) ** 0.5
     found = optx.root_find(
         _gradient,

@@ -22,7 +22,6 @@ from phongfit.fitting.result import as_materials
 from phongfit.fitting.solve.edges import off_edges
 from phongfit.fitting.solve.jpeg import foresee
 from phongfit.fitting.uncertainty.estimate import Estimates, estimates
-from phongfit.fitting.uncertainty.inherited import beside, with_inherited
 from phongfit.fitting.uncertainty.numbers import parameter_rows
 from phongfit.fitting.uncertainty.scatter import scatter
 from phongfit.fitting.uncertainty.warnings import coarse_words
@@ -140,14 +139,9 @@ def predict_errors(
     entries = first_values(unknowns.parameters, scenes, material)
     y = jnp.asarray(unknowns.position(entries))
     rounded = any(one.jpeg is not None for one in films)
-    nuisance, scores = setting.nuisance, None
     if rounded:
-        also = None if nuisance is None else beside(nuisance)
-        problem, scores = foresee(problem, y, sources, films, also)
-    expected = _expected(problem, y)
-    if nuisance is not None:
-        expected = with_inherited(expected, y, nuisance, scores=scores)
-    estimated = estimates(expected, y)
+        problem = foresee(problem, y, sources, films)
+    estimated = estimates(_expected(problem, y), y)
     is_exponent = unknowns.entry_parameter[unknowns.reported] == "shininess"
     if (
         estimated.unidentified[is_exponent].any()

@@ -159,7 +159,7 @@ def summarize(
         arrays=arrays,
         n_samples=samples,
         n_images=len(images),
-        degrees_of_freedom=max(effective + sum(unknowns.has_prior) - estimated.free, 0),
+        degrees_of_freedom=max(effective + unknowns.n_priors - estimated.free, 0),
         chi_squared=estimated.chi_squared,
         misfit=misfit,
         model=type(problem.samples.channels.pixels.terms.model).__name__,

@@ -150,7 +150,7 @@ def assumptions(fit: Fit) -> dict[str, str]:
         "film": f"{fit.film}; light is linear, white = 1",
         "noise": noise,
         "loss": fit.loss,
-        "unknown": ", ".join(unknowns.names),
+        "unknown": ", ".join(unknowns.sought),
         "bounds": bounds_words(fit),
         "known beforehand": known_words(fit),
         "versions": versions(),
@@ -212,7 +212,7 @@ def known_words(fit: Fit) -> str:
     groups = (
         ("held", labels, unknowns.fixed),
         ("tied", fit.labels, fit.tied),
-        ("with a prior", labels, unknowns.has_prior),
+        ("with a prior", labels, unknowns.has_prior & ~unknowns.entry_nuisance),
         ("with an error of its own", *_uncertain(fit)),
     )
     words = [

@@ -1,5 +1,6 @@
 """Make [`Unknowns`][] from a specification: bounds, fixed values, ties, priors."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -28,6 +29,9 @@ from phongfit.scene import Scene
 
 SINGULAR = 1e-6
 """Variance of a combination, relative to the mean, below which it counts as 0."""
+FLOOR, HELD = 1e-5, 1e-6
+"""Least variance of combinations of nuisances, relative to the mean, and least standard
+deviation of a nuisance, relative to its size."""
 
 
 def make_unknowns(
@@ -44,6 +48,7 @@ def make_unknowns(
     known = specification.known
     known = Material(0.0, 0.0, 32.0, 0.0) if known is None else known
     parameters = _parameters(specification, known, materials, scenes)
+    parameters += _nuisances(specification, scenes)
     names = _Names(parameters)
     size = len(names.labels)
     first = first_values(parameters, scenes)
@@ -54,6 +59,8 @@ def make_unknowns(
 
     low, high = _boxes(names, bounds, is_fixed)
     low, high = _narrowed(names, low, high, factor, source)
+    nuisance = np.array([one.nuisance for one in names.parameter])
+    low, high = np.where(nuisance, -np.inf, low), np.where(nuisance, np.inf, high)
     _check_fixed(names, offset, is_fixed, ties)
     forms = np.repeat([f.form for f in parameters], [f.size for f in parameters])
     scale = _scales(parameters, first)
@@ -74,7 +81,7 @@ def make_unknowns(
         count = 2 if direction[entry] else 1
         own_entries += [entry] * count
         taken += count
-    known_before = _priors(names, specification, first, is_fixed)
+    known_before = _priors(names, specification, first, scale, is_fixed)
     base = first[direction].reshape(-1, 3)
     base = base / np.maximum(np.linalg.norm(base, axis=1, keepdims=True), 1e-30)
     kind = jnp.result_type(float)
@@ -196,6 +203,17 @@ def _parameters(
                     "per_image as well, or start all from the same"
                 )
     return parameters
+
+
+def _nuisances(asked: Specification, scenes: Sequence[Scene]) -> tuple[Parameter, ...]:
+    """The uncertain arrays that are not among the unknowns, one for each image."""
+    return tuple(
+        dataclasses.replace(
+            parameter(name, True, 1, scenes, not is_of_model(name)), nuisance=True
+        )
+        for name in asked.uncertain_arrays
+        if name not in asked.unknowns
+    )
 
 
 def first_values(
@@ -449,6 +467,7 @@ def _priors(
     names: _Names,
     asked: Specification,
     first: np.ndarray,
+    scale: np.ndarray,
     is_fixed: np.ndarray,
 ) -> _Priors:
     size = len(names.labels)
@@ -469,21 +488,21 @@ def _priors(
             raise ValueError(f"priors: {name}: expected a standard deviation > 0")
         covariance[entries, entries] = deviation**2
         has[entries] = True
-    unknown = {one.name for one in names.parameter}
+    unknown = {one.name for one in names.parameter if not one.nuisance}
     for key, given in asked.uncertain.items():
         own = as_names(key)
-        if not unknown.issuperset(own):
-            if unknown.intersection(own):
-                raise ValueError(
-                    f"uncertain: {', '.join(own)}: expected all of them to be unknown, "
-                    "or none, since their errors are correlated"
-                )
-            continue
+        if len({name in unknown for name in own}) > 1:
+            raise ValueError(
+                f"uncertain: {', '.join(own)}: expected all of them to be unknown, "
+                "or none, since their errors are correlated"
+            )
         entries = np.concatenate([names.entries("uncertain", name) for name in own])
         if has[entries].any():
             raise ValueError(f"priors: {key}: expected it or uncertain, got both")
         block = covariance_of(key, given, len(entries))
-        if names.form[entries[0]] != "direction" and _is_singular(block):
+        if not unknown.issuperset(own):
+            block = _with_floor(names, entries, block, first, scale)
+        elif names.form[entries[0]] != "direction" and _is_singular(block):
             raise ValueError(
                 f"uncertain: {key}: expected a covariance of full rank, since it is "
                 "unknown: an exactly known array cannot be an unknown"
@@ -494,6 +513,28 @@ def _priors(
         raise ValueError(f"priors: {names.labels[entry]} is fixed")
     deviation = np.sqrt(np.diag(covariance))
     return _Priors(mean, deviation, has, _whitening(covariance[np.ix_(has, has)]))
+
+
+def _with_floor(
+    names: _Names,
+    entries: np.ndarray,
+    block: np.ndarray,
+    first: np.ndarray,
+    scale: np.ndarray,
+) -> np.ndarray:
+    """A covariance of nuisances with small variances in place of 0.
+
+    So exactly known combinations hardly move. Directions vary in their tangent plane.
+    """
+    variance = np.maximum(FLOOR * np.diag(block), (HELD * scale[entries]) ** 2)
+    across = np.eye(len(entries))
+    for k, entry in enumerate(entries):
+        if names.form[entry] == "direction" and names.part[entry] == 0:
+            own = slice(k, k + 3)
+            unit = first[entry : entry + 3] / np.linalg.norm(first[entry : entry + 3])
+            across[own, own] -= np.outer(unit, unit)
+            variance[own] = variance[own].max()
+    return across @ (block + np.diag(variance)) @ across
 
 
 def _scaled_eigen(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

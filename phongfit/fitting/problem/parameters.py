@@ -52,7 +52,8 @@ class Parameter:
 
     `rows` are the materials or images with separate values, `parts` the numbers of a
     row: a colour's channels, a vector's components, or one. `box` has the bounds that a
-    specular model states for its parameters.
+    specular model states for its parameters. A `nuisance` is uncertain: it is fitted
+    with its prior, but a result does not list it.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Parameter:
     form: Form
     per_image: bool = False
     box: tuple[float, float] | None = None
+    nuisance: bool = False
 
     @property
     def size(self) -> int:

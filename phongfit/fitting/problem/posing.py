@@ -18,7 +18,6 @@ from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.samples import Source, gather, seen_pixels
 from phongfit.fitting.problem.shapes import check_shape
 from phongfit.fitting.problem.specification import Specification
-from phongfit.fitting.problem.uncertain import Nuisance, make_nuisance
 from phongfit.fitting.problem.unknowns import Unknowns
 from phongfit.geometry.surfaces import GBuffer
 from phongfit.rendering.film import Film, as_films
@@ -80,15 +79,11 @@ def make_problem(
 
 @dataclasses.dataclass(frozen=True)
 class FitData:
-    """The checked input of a fit: unknowns, images with their geometry, and films.
-
-    `nuisance` are uncertain parameters of the scenes that are not unknowns.
-    """
+    """The checked input of a fit: unknowns, images with their geometry, and films."""
 
     unknowns: Unknowns
     sources: list[Source]
     films: tuple[Film, ...]
-    nuisance: Nuisance | None = None
 
 
 def set_up(
@@ -111,13 +106,11 @@ def set_up(
         layout = _default_unknowns(dtype, materials)
     else:
         layout = make_unknowns(specification, materials, scenes)
-    nuisance = make_nuisance(specification, materials, scenes)
-    relit = layout.relights or (nuisance is not None and nuisance.unknowns.relights)
     # Shadows move with the lights.
     shadows = any(scene.shadows for scene in scenes)
     moving = layout.moves_geometry or (shadows and layout.moves_lights)
     # Dispatched here: JAX computes it while the images are checked.
-    seen = [_geometry(one, relit and not moving) for one in scenes]
+    seen = [_geometry(one, layout.relights and not moving) for one in scenes]
     scene = scene if isinstance(scene, Scene) else scenes
     photographs = as_photographs(scene, image, mask, weights, noise)
     films = _checked_films(specification.film, photographs)
@@ -127,7 +120,7 @@ def set_up(
     ]
     _check_samples(sources, layout)
     _check_constants(layout, sources)
-    return FitData(layout, sources, films, nuisance)
+    return FitData(layout, sources, films)
 
 
 @functools.cache
@@ -201,8 +194,8 @@ def _check_samples(sources: list[Source], unknowns: Unknowns) -> None:
     count = sum(source.count() for source in sources)
     if count == 0:
         raise ValueError("mask: it leaves no pixel that sees the surface")
-    free = unknowns.lower.size
-    if count + sum(unknowns.has_prior) <= free:
+    free = np.count_nonzero(~unknowns.y_nuisance)
+    if count + unknowns.n_priors <= free:
         raise ValueError(
             f"mask: expected more samples than unknowns, got {count} samples for "
             f"{free} unknowns"
@@ -217,7 +210,7 @@ def _check_constants(unknowns: Unknowns, sources: list[Source]) -> None:
         [np.asarray(source.pixels.terms.ambient).reshape(-1, 3) for source in sources]
     )
     free = set(np.array(unknowns.entry_parameter)[unknowns.y_entry])
-    known = {"ambient", "emission"} - free or any(unknowns.has_prior)
+    known = {"ambient", "emission"} - free or unknowns.n_priors
     if not known and np.all(np.ptp(light, axis=0) <= 1e-6 * np.abs(light).max()):
         raise ValueError(
             "unknowns: expected ambient or emission, got both: under constant ambient "

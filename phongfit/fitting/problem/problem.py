@@ -21,8 +21,7 @@ class Problem(eqx.Module):
     """The samples, unknowns, noise level and loss of a fit.
 
     `scatter` is the covariance of the scores, divided by the roots of the diagonal of
-    JᵀJ, if samples are not independent. `inherited` is the part that the errors of
-    uncertain scenes add to it, in the same units.
+    JᵀJ, if samples are not independent.
     """
 
     samples: Samples
@@ -31,7 +30,6 @@ class Problem(eqx.Module):
     loss: AbstractLoss
     clamp: bool = eqx.field(static=True)
     scatter: Float[Array, "n n"] | None = None
-    inherited: Float[Array, "n n"] | None = None
 
     def noise(self) -> Float[Array, "3 n"]:
         """Standard deviation of each sample before rounding, also of those left out."""

@@ -76,6 +76,24 @@ class Unknowns(eqx.Module):
         return tuple(parameter.name for parameter in self.parameters)
 
     @functools.cached_property
+    def sought(self) -> tuple[str, ...]:
+        """Names of the parameters that a result lists: all but nuisances."""
+        return tuple(one.name for one in self.parameters if not one.nuisance)
+
+    @functools.cached_property
+    def entry_nuisance(self) -> np.ndarray:
+        """True for entries of nuisance parameters."""
+        return np.repeat(
+            [one.nuisance for one in self.parameters],
+            [one.size for one in self.parameters],
+        )
+
+    @functools.cached_property
+    def y_nuisance(self) -> np.ndarray:
+        """True for numbers of y that belong to nuisance parameters."""
+        return self.entry_nuisance[self.y_entry]
+
+    @functools.cached_property
     def entry_labels(self) -> tuple[str, ...]:
         """A label for every entry."""
         return tuple(
@@ -84,8 +102,8 @@ class Unknowns(eqx.Module):
 
     @functools.cached_property
     def reported(self) -> np.ndarray:
-        """Entries that are not fixed: those that a fit estimates."""
-        return np.flatnonzero(~np.array(self.fixed))
+        """Entries that a result lists: neither fixed nor nuisances."""
+        return np.flatnonzero(~np.array(self.fixed) & ~self.entry_nuisance)
 
     @functools.cached_property
     def labels(self) -> tuple[str, ...]:
@@ -136,6 +154,11 @@ class Unknowns(eqx.Module):
     def _own(self) -> np.ndarray:
         """True for entries that are not tied to another one."""
         return np.arange(len(self.source)) == np.array(self.source)
+
+    @functools.cached_property
+    def n_priors(self) -> int:
+        """Number of priors, without those of nuisances."""
+        return int(np.count_nonzero(np.array(self.has_prior)[self.reported]))
 
     @functools.cached_property
     def forms(self) -> np.ndarray:
@@ -243,9 +266,9 @@ class Unknowns(eqx.Module):
 
     @functools.cached_property
     def moves_lights(self) -> bool:
-        """Whether unknowns move lights, so that shadows may move."""
+        """Whether lights are sought, so that shadows may move."""
         places = ("position", "direction", "axis")
-        return any(is_of_scene(n) and n.endswith(places) for n in self.names)
+        return any(is_of_scene(n) and n.endswith(places) for n in self.sought)
 
     @functools.cached_property
     def direction_indices(self) -> np.ndarray:

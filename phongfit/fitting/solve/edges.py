@@ -186,7 +186,7 @@ def _moving_cones(unknowns: Unknowns, scene: Scene) -> tuple[int, ...]:
         if light.jumps
         and (
             unknowns.moves_geometry
-            or any(f"scene.lights[{k}].{place}" in unknowns.names for place in places)
+            or any(f"scene.lights[{k}].{place}" in unknowns.sought for place in places)
         )
     )
 

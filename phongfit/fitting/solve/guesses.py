@@ -46,7 +46,7 @@ class Look(NamedTuple):
 
 def moves_lights(unknowns: Unknowns) -> bool:
     """Whether a light's position or direction is unknown."""
-    return any(_PLACE.fullmatch(name) for name in unknowns.names)
+    return any(_PLACE.fullmatch(name) for name in unknowns.sought)
 
 
 def look(source: Source, seen: Int[np.ndarray, " n"]) -> Look:
@@ -144,7 +144,10 @@ def guess_places(
     Several unknown lights of an image begin with different guesses.
     """
     found: dict[int, np.ndarray] = {}
-    lights = [_PLACE.fullmatch(name) for name in unknowns.names]
+    lights = [
+        None if one.nuisance else _PLACE.fullmatch(one.name)
+        for one in unknowns.parameters
+    ]
     order = sorted({int(place[1]) for place in lights if place})
     entry = 0
     for parameter, place in zip(unknowns.parameters, lights, strict=True):

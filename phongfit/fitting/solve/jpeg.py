@@ -32,7 +32,7 @@ from phongfit.fitting.problem.problem import Problem, evaluate
 from phongfit.fitting.problem.samples import Source
 from phongfit.fitting.solve.search import SearchResult
 from phongfit.fitting.solve.solution import solve
-from phongfit.fitting.solve.sums import Jacobian, Linearization, linearize
+from phongfit.fitting.solve.sums import Linearization, linearize
 from phongfit.programs import program
 from phongfit.rendering.film import Film, decode, encode
 from phongfit.rendering.jpeg import JpegCompression, compressed
@@ -50,9 +50,6 @@ ENOUGH = 0.1
 # Most times that the search for the noise quadruples a variance that is too small.
 GROWN = 6
 
-Beside = Callable[[Problem, Float[Array, " n"]], tuple[Problem, Array]]
-"""Extends a fit's problem and solution by further unknowns."""
-
 Drawn = Float[np.ndarray, "draws 3 rows columns"]
 """Sums over tiles of simulated residuals; the sum of their squares is a variance."""
 
@@ -63,14 +60,11 @@ class Restored(NamedTuple):
     - `solution`: the fit's solution and problem.
     - `sources`: the corrected photographs, with rounding steps that match the errors.
     - `drawn`: sums over tiles of the right model's residuals: see [`find_misfit`][].
-    - `scores`: rows whose outer products add up to the covariance of the scores of the
-        unknowns, followed by those of `beside`.
     """
 
     solution: SearchResult
     sources: list[Source]
     drawn: list[Drawn]
-    scores: Float[np.ndarray, "rows m"]
 
 
 def restore(
@@ -80,7 +74,6 @@ def restore(
     noise_given: bool,
     max_steps: int,
     side: int,
-    beside: Beside | None = None,
 ) -> Restored:
     """Fit photographs again, corrected for JPEG compression.
 
@@ -89,7 +82,6 @@ def restore(
     - `found`: a fit of the images as they are.
     - `sources`, `films`: all images, also those that are not JPEG.
     - `side`: pixels along the side of a tile.
-    - `beside`: adds unknowns of which scores are simulated as well.
     """
     first, problem, y, steps = found.problem, found.problem, found.y, found.steps
     plates = _plates(first, sources, films)
@@ -102,7 +94,7 @@ def restore(
         problem = _restored(first, errors.mean(axis=0), step, sigma)
         solution = solve(problem, y, max_steps)
         y, steps = solution.y, steps + solution.steps
-    draws = _Stage(first, problem, y, plates).draw(side, beside)
+    draws = _Stage(first, problem, y, plates).draw(side)
     problem = _restored(first, draws.lost, step, sigma)
     solution = solve(problem, y, max_steps)
     restored = [
@@ -118,7 +110,7 @@ def restore(
     found = SearchResult(
         problem, solution.y, solution.converged, steps + solution.steps
     )
-    return Restored(found, restored, draws.tiles, draws.scores)
+    return Restored(found, restored, draws.tiles)
 
 
 def foresee(
@@ -126,22 +118,19 @@ def foresee(
     y: Float[Array, " n"],
     sources: list[Source],
     films: tuple[Film, ...],
-    beside: Beside | None = None,
-) -> tuple[Problem, Float[np.ndarray, "rows m"]]:
+) -> Problem:
     """The problem of photographs not yet taken, with the rounding of their JPEG files.
 
-    **Arguments:** `y`: the truth; `beside`: adds unknowns with simulated scores.
-
-    **Returns:** also the `scores` of [`Restored`][].
+    **Arguments:** `y`: the truth.
     """
     plates, sigma = _plates(problem, sources, films), 1.0
     stage = _Stage(problem, problem, y, plates)
     errors = np.array(list(stage.errors(sigma, range(FEW))))
     step = stage.wider_steps(errors, sigma)
     there = _restored(problem, errors.mean(axis=0), step, sigma)
-    draws = _Stage(problem, there, y, plates).draw(8, beside)
+    draws = _Stage(problem, there, y, plates).draw(8)
     scatter = jnp.asarray(draws.scatter, y.dtype)
-    return dataclasses.replace(there, scatter=scatter), draws.scores
+    return dataclasses.replace(there, scatter=scatter)
 
 
 def _restored(
@@ -294,13 +283,11 @@ class _Draws(NamedTuple):
     - `lost`: mean error, in linear light.
     - `scatter`: covariance of the scores: see [`Problem`][].
     - `tiles`: sums over tiles, for each image: see [`find_misfit`][].
-    - `scores`: as in [`Restored`][].
     """
 
     lost: Float[np.ndarray, "3 samples"]
     scatter: Float[np.ndarray, "n n"]
     tiles: list[Drawn]
-    scores: Float[np.ndarray, "rows m"]
 
 
 class _Stage:
@@ -325,7 +312,8 @@ class _Stage:
         # Derivative of a robust loss's score: near 0 for outliers.
         self.bend = np.asarray(problem.loss.score(at.residual)[1])
         self.gram = np.asarray(self.jacobian.gram(), float)
-        self.inverse = np.linalg.pinv(self.gram, hermitian=True)
+        priors = np.asarray(self.jacobian.priors, float)
+        self.inverse = np.linalg.pinv(self.gram + priors.T @ priors, hermitian=True)
 
     def noise(self) -> float:
         """Noise level for which simulated residuals are as large as the measured ones.
@@ -374,11 +362,9 @@ class _Stage:
         taken = jnp.asarray(self.inverse @ self._pull(residual), self.y.dtype)
         return residual - np.asarray(self.jacobian.change(taken))
 
-    def _pull(
-        self, residual: np.ndarray, jacobian: Jacobian | None = None
-    ) -> Float[np.ndarray, " m"]:
-        jacobian = self.jacobian if jacobian is None else jacobian
-        return np.asarray(jacobian.pull(jnp.asarray(residual, self.y.dtype)), float)
+    def _pull(self, residual: np.ndarray) -> Float[np.ndarray, " n"]:
+        pull = self.jacobian.pull(jnp.asarray(residual, self.y.dtype))
+        return np.asarray(pull, float)
 
     def errors(
         self, sigma: float, seeds: range
@@ -419,29 +405,23 @@ class _Stage:
             wider[:, plate.columns] *= factor.reshape(-1, 3)[plate.place].T
         return wider
 
-    def draw(self, side: int, beside: Beside | None = None) -> _Draws:
+    def draw(self, side: int) -> _Draws:
         """Simulate `MANY` draws at the problem's noise level."""
-        jacobian = self.jacobian
-        if beside is not None:
-            jacobian = _look(*beside(self.problem, self.y))[1].jacobian
         total, scores, tiles = np.zeros_like(self.light), [], []
         # Not the draws of the correction, from which the solution was computed.
         for errors in self.errors(float(self.problem.sigma), range(FEW, FEW + MANY)):
             total += errors
             scaled = errors / self.deviation
-            scores.append(self._pull(self.bend * scaled, jacobian))
+            scores.append(self._pull(self.bend * scaled))
             left = self._left(scaled)
             tiles.append([_in_tiles(p.picture(left), side) for p in self.plates])
         root = np.sqrt(np.diag(self.gram))
-        doubts = self._doubts(total / MANY, jacobian)
-        every = np.concatenate([_apart(scores), doubts])
-        rows = every[:, : len(root)] / np.where(root > 0, root, 1)
+        every = np.concatenate([_apart(scores), self._doubts(total / MANY)])
+        rows = every / np.where(root > 0, root, 1)
         each = [_rows(one) for one in zip(*tiles, strict=True)]
-        return _Draws(total / MANY, rows.T @ rows, each, every)
+        return _Draws(total / MANY, rows.T @ rows, each)
 
-    def _doubts(
-        self, lost: Float[np.ndarray, "3 samples"], jacobian: Jacobian
-    ) -> Float[np.ndarray, "3 m"]:
+    def _doubts(self, lost: Float[np.ndarray, "3 samples"]) -> Float[np.ndarray, "3 n"]:
         """Scores of the correction itself, which counts as an uncertainty.
 
         An encoder may round in another way, and the surroundings are estimated. Each
@@ -449,7 +429,7 @@ class _Stage:
         one by chance.
         """
         turns = [np.roll(lost / self.deviation, k, axis=0) for k in range(3)]
-        pulls = [self._pull(self.bend * one, jacobian) for one in turns]
+        pulls = [self._pull(self.bend * one) for one in turns]
         return np.array(pulls) / np.sqrt(3)
 
 

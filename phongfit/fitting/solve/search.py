@@ -121,7 +121,7 @@ def search(
     level = 1.0 if noise_given else float(np.finfo(y.dtype).eps)
     sigma = jnp.asarray(level, y.dtype)
     problem = Problem(first, unknowns, sigma, loss, clamp)
-    several = unknowns.of_scene or unknowns.exposed
+    several = not set(unknowns.sought) <= set(MATERIAL_PARAMETERS)
     ways = [(problem, y)]
     if several:
         ways = _best_of_several(problem, noise_given, max_steps, guesses or {})
@@ -220,8 +220,8 @@ def _best_of_several(
     unknowns, steps = problem.unknowns, min(max_steps, 50)
     ends = _ends(blurred, spread_starts(unknowns, STARTS, guesses), steps)
     # Some directions may end right and others not: these are started again.
-    several = 1 < len(unknowns.base) <= MOST_MOVED
-    for which in range(len(unknowns.base) if several else 0):
+    count = _n_sought_directions(unknowns)
+    for which in range(count if 1 < count <= MOST_MOVED else 0):
         start = jax.tree.map(lambda of_all: of_all[0], ends.starts)
         moved = _ends(blurred, _moved(unknowns, start, which, guesses), steps)
         ends = _sorted(jax.tree.map(lambda *both: np.concatenate(both), ends, moved))
@@ -231,6 +231,12 @@ def _best_of_several(
         here = dataclasses.replace(problem, unknowns=unknowns.aimed(base, across))
         ways.append((here, y))
     return ways
+
+
+def _n_sought_directions(unknowns: Unknowns) -> int:
+    """Number of unknown directions that may be anywhere; nuisances come after them."""
+    nuisance = unknowns.entry_nuisance[unknowns.direction_entries]
+    return int(np.count_nonzero(~nuisance))
 
 
 class Starts(NamedTuple):
@@ -286,6 +292,7 @@ def _valleys(unknowns: Unknowns, ends: _Ends) -> list[int]:
     not cause further minima.
     """
     strength = np.array([scales_light(name) for name in unknowns.entry_parameter])
+    strength |= unknowns.entry_nuisance
     logarithm = unknowns.forms == "logarithm"
     scaled = ends.entries / np.asarray(unknowns.scale)
     scaled = np.where(logarithm, np.log(np.where(logarithm, ends.entries, 1)), scaled)
@@ -343,11 +350,12 @@ def spread_starts(unknowns: Unknowns, count: int, guesses: Guesses) -> Starts:
     starts = np.where(near, first + 0.1 * (moved - first), starts)
     stays = np.isin(unknowns.y_parameter, MATERIAL_PARAMETERS)
     stays |= unknowns.forms[unknowns.y_entry] == "direction"
+    stays |= unknowns.y_nuisance
     starts = np.where(stays, first, starts)
     starts[0] = first
     starts = np.clip(starts, low, high)
     base = np.repeat(np.asarray(unknowns.base, float)[None], count, axis=0)
-    for k in range(base.shape[1]):
+    for k in range(_n_sought_directions(unknowns)):
         base[1:, k] = rng.permutation(spread_directions(count - 1))
     guessed = _guessed(unknowns, guesses)
     starts, base = (
@@ -508,7 +516,8 @@ def _noise(problem: Problem, solution: Solution) -> Float[Array, ""]:
     if problem.loss.robust:
         return _robust_noise(problem, evaluate(problem, solution.y))
     left = solution.residual_sums
-    variance = left.squares / jnp.maximum(left.share - solution.y.size, 1)
+    free = int(np.count_nonzero(~problem.unknowns.y_nuisance))
+    variance = left.squares / jnp.maximum(left.share - free, 1)
     return _unrounded(problem, variance, left.floor)
 
 

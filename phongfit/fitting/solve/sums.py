@@ -9,6 +9,9 @@ unknowns of an RGB image need four, and those of 24 materials need no more.
     Maths Applics 13, 1974.
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -18,6 +21,7 @@ from jaxtyping import Array, Float
 from phongfit.fitting.problem.parameters import MATERIAL_PARAMETERS
 from phongfit.fitting.problem.problem import Evaluation, Problem
 from phongfit.fitting.problem.unknowns import Unknowns
+from phongfit.programs import program
 
 
 def colours(unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray]:
@@ -220,6 +224,21 @@ def linearize(problem: Problem, y: Float[Array, " n"]) -> Linearization:
     return Linearization(at, priors, jacobian)
 
 
+linearized = program()(linearize)
+"""[`linearize`][], compiled alone."""
+
+
+def in_double(add: Callable[..., Any], *parts: Any) -> Any:
+    """Sums over the samples, added up in double precision."""
+
+    def wide(leaf: Any) -> Any:
+        inexact = eqx.is_inexact_array(leaf)
+        return jnp.asarray(np.asarray(leaf), float) if inexact else leaf
+
+    with jax.enable_x64(True):
+        return add(*jax.tree.map(wide, parts))
+
+
 class ResidualSums(eqx.Module):
     """Sums over the residuals at a point, for an estimate of the noise level.
 
@@ -251,7 +270,12 @@ def sums(problem: Problem, y: Float[Array, " n"]) -> Sums:
     The curvature is $J^\top W J$ with $W = \psi'(r)$, but at least a tenth of the usual
     weight $\psi(r)/r$, where the loss is not convex.
     """
-    found = linearize(problem, y)
+    return add_up(problem, linearize(problem, y))
+
+
+@program()
+def add_up(problem: Problem, found: Linearization) -> Sums:
+    """[`sums`][] of a linearization."""
     residual, priors, jacobian = found.at.residual, found.priors, found.jacobian
     slopes, loss = jacobian.priors, problem.loss
     if not loss.robust:

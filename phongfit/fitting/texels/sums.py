@@ -8,6 +8,7 @@ diagonal, four for offsets), whatever the number of photographs.
 
 import abc
 import dataclasses
+import functools
 import math
 from typing import Any, ClassVar, NamedTuple
 
@@ -48,6 +49,15 @@ class Links(NamedTuple):
     first: Int[np.ndarray, " links"]
     second: Int[np.ndarray, " links"]
     slot: Int[np.ndarray, " links"]
+
+
+class Pattern(NamedTuple):
+    """Sparsity pattern of a matrix, and each entry's index in a block of sums."""
+
+    ends: np.ndarray
+    columns: np.ndarray
+    source: np.ndarray
+    diagonal: np.ndarray
 
 
 class AbstractTexels(abc.ABC):
@@ -94,8 +104,12 @@ class AbstractTexels(abc.ABC):
         """Number of rows of a block of sums; the first is for the texels themselves."""
 
     @abc.abstractmethod
+    def pairs(self) -> "Links":
+        """All pairs of texels that samples couple."""
+
+    @abc.abstractmethod
     def links(self) -> "Links":
-        """All pairs of neighbours."""
+        """Pairs of neighbours whose difference the smoothness prior limits."""
 
     def differences(
         self, scale: Float[np.ndarray, " texels"]
@@ -119,7 +133,23 @@ class AbstractTexels(abc.ABC):
         # If there are no neighbours, NumPy returns whole numbers.
         return total.astype(float, copy=False)
 
-    @abc.abstractmethod
+    @functools.cached_property
+    def pattern(self) -> Pattern:
+        """Pattern of the matrix over all texels."""
+        owner, other, slot = self.pairs()
+        own = np.arange(self.texels)
+        source = np.concatenate([own, *[slot * self.texels + owner] * 2])
+        rows = np.concatenate([own, owner, other])
+        columns = np.concatenate([own, other, owner])
+        order = np.lexsort([columns, rows])
+        ends = np.searchsorted(rows[order], np.arange(self.texels + 1))
+        # At a texture's end a texel may be its own neighbour.
+        diagonal = np.flatnonzero(source[order] < self.texels)
+        kind = np.int32
+        return Pattern(
+            ends.astype(kind), columns[order].astype(kind), source[order], diagonal
+        )
+
     def matrix(
         self,
         blocks: dict[tuple[int, int], np.ndarray],
@@ -134,6 +164,23 @@ class AbstractTexels(abc.ABC):
             other pairs are 0.
         - `prior`: added to the diagonal, field by field.
         """
+        count = self.texels
+        prior = np.broadcast_to(prior, fields * count).reshape(fields, count)
+
+        def of(p: int, q: int) -> sparse.csr_array | None:
+            block = blocks.get((min(p, q), max(p, q)))
+            if block is None:
+                return None
+            more = prior[p] if p == q else 0.0
+            if len(block) == 1:
+                return sparse.csr_array(sparse.diags_array(block[0] + more))
+            ends, columns, source, diagonal = self.pattern
+            values = block.ravel()[source].astype(float)
+            values[diagonal] += more
+            return sparse.csr_array((values, columns, ends), (count, count))
+
+        rows = [[of(p, q) for q in range(fields)] for p in range(fields)]
+        return sparse.csr_array(sparse.block_array(rows, format="csr"))
 
     @abc.abstractmethod
     def colours(self) -> Int[np.ndarray, " texels"]:
@@ -201,41 +248,15 @@ class Grid(AbstractTexels):
         rows, columns = max(self.rows // by, 1), max(self.columns // by, 1)
         return dataclasses.replace(self, rows=rows, columns=columns)
 
-    def matrix(
-        self,
-        blocks: dict[tuple[int, int], np.ndarray],
-        fields: int,
-        prior: float | Float[np.ndarray, " n"] = 0.0,
-    ) -> sparse.csr_array:
-        # Build the final arrays directly: a list of entries would take several times as
-        # much memory.
-        number, size = self.texels, fields * self.texels
-        beside = [(offset, 1) for offset in OFFSETS]
-        beside += [(offset, -1) for offset in OFFSETS[1:]]
-        if len(next(iter(blocks.values()))) == 1:
-            beside = beside[:1]
-        coupled = [
-            [q for q in range(fields) if (min(p, q), max(p, q)) in blocks]
-            for p in range(fields)
-        ]
-        each = np.repeat([len(own) * len(beside) for own in coupled], number)
-        ends = np.concatenate([[0], np.cumsum(each)])
-        columns, values = np.empty(ends[-1], np.int32), np.empty(ends[-1])
-        prior = np.broadcast_to(prior, size)
-        for p, own in enumerate(coupled):
-            span = slice(ends[p * number], ends[(p + 1) * number])
-            shape = number, len(own), len(beside)
-            at, value = columns[span].reshape(shape), values[span].reshape(shape)
-            for k, (offset, way) in enumerate(beside):
-                other = self.neighbour((way * offset[0], way * offset[1]))
-                for i, q in enumerate(own):
-                    image = blocks[min(p, q), max(p, q)][OFFSETS.index(offset)]
-                    at[:, i, k] = other + q * number
-                    value[:, i, k] = image if way == 1 else image[other]
-            value[:, own.index(p), 0] += prior[p * number : (p + 1) * number]
-        if ends[-1] <= np.iinfo(np.int32).max:
-            ends = ends.astype(np.int32)
-        return sparse.csr_array((values, columns, ends), (size, size))
+    def pairs(self) -> Links:
+        number = np.arange(self.texels, dtype=np.int32)
+        others = [self.neighbour(offset) for offset in OFFSETS[1:]]
+        slots = np.arange(1, len(OFFSETS))
+        return Links(
+            np.tile(number, len(others)),
+            np.concatenate(others),
+            np.repeat(slots, len(number)),
+        )
 
     def colours(self) -> Int[np.ndarray, " texels"]:
         row, column = np.divmod(np.arange(self.texels), self.columns)

@@ -61,15 +61,6 @@ def find_edges(faces: Int[np.ndarray, "faces 3"], vertices: int) -> Edges:
     return Edges(owner, other, slot, number.reshape(-1, 3))
 
 
-class Pattern(NamedTuple):
-    """Sparsity pattern of a matrix, and each entry's index in a block of sums."""
-
-    ends: np.ndarray
-    columns: np.ndarray
-    source: np.ndarray
-    diagonal: np.ndarray
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class Vertices(AbstractTexels):
     """Unknowns at vertices, in `layers` layers: one, or one for each material.
@@ -119,7 +110,7 @@ class Vertices(AbstractTexels):
         del by
         return self
 
-    def links(self) -> Links:
+    def pairs(self) -> Links:
         start = (np.arange(self.layers) * len(self.points))[:, None]
         return Links(
             (start + self.edges.owner).ravel(),
@@ -127,45 +118,8 @@ class Vertices(AbstractTexels):
             np.tile(self.edges.slot, self.layers),
         )
 
-    @functools.cached_property
-    def pattern(self) -> Pattern:
-        """Pattern of the matrix over all vertices, which couples the ends of edges."""
-        owner, other, slot = self.links()
-        own = np.arange(self.texels)
-        source = np.concatenate([own, *[slot * self.texels + owner] * 2])
-        rows = np.concatenate([own, owner, other])
-        columns = np.concatenate([own, other, owner])
-        order = np.lexsort([columns, rows])
-        ends = np.searchsorted(rows[order], np.arange(self.texels + 1))
-        diagonal = np.flatnonzero(rows[order] == columns[order])
-        kind = np.int32
-        return Pattern(
-            ends.astype(kind), columns[order].astype(kind), source[order], diagonal
-        )
-
-    def matrix(
-        self,
-        blocks: dict[tuple[int, int], np.ndarray],
-        fields: int,
-        prior: float | Float[np.ndarray, " n"] = 0.0,
-    ) -> sparse.csr_array:
-        count = self.texels
-        prior = np.broadcast_to(prior, fields * count).reshape(fields, count)
-
-        def of(p: int, q: int) -> sparse.csr_array | None:
-            block = blocks.get((min(p, q), max(p, q)))
-            if block is None:
-                return None
-            more = prior[p] if p == q else 0.0
-            if len(block) == 1:
-                return sparse.csr_array(sparse.diags_array(block[0] + more))
-            ends, columns, source, diagonal = self.pattern
-            values = block.ravel()[source].astype(float)
-            values[diagonal] += more
-            return sparse.csr_array((values, columns, ends), (count, count))
-
-        rows = [[of(p, q) for q in range(fields)] for p in range(fields)]
-        return sparse.csr_array(sparse.block_array(rows, format="csr"))
+    def links(self) -> Links:
+        return self.pairs()
 
     def colours(self) -> Int[np.ndarray, " texels"]:
         count = len(self.points)

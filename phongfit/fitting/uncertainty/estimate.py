@@ -130,7 +130,7 @@ def estimates(
         bound,
         np.where(touched, strain, 0).max(axis=1, initial=0),
         hidden,
-        int(np.count_nonzero(~unidentified & ~at_bound)),
+        int(np.count_nonzero(~unidentified & ~at_bound & ~unknowns.y_nuisance)),
         found.chi_squared,
         tuple(reasons),
         dataclasses.replace(region, open_ended=hidden),
@@ -166,7 +166,7 @@ def _vague(
     exponents = unknowns.shapes
     # Errors of logarithms are relative already.
     wide = VAGUE * np.where(unknowns.logarithmic, 1, np.abs(position))
-    if found.unidentified[~exponents].all():
+    if found.unidentified[~exponents & ~unknowns.y_nuisance].all():
         return np.zeros(len(position), bool)
     with np.errstate(invalid="ignore"):
         vague = exponents & (unseen | (found.stderr > wide))

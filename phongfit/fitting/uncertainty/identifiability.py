@@ -65,10 +65,10 @@ def find_unidentified(
     """Unknowns that the Jacobian does not determine, and warnings with the reasons."""
     labels = np.array(unknowns.free_labels)
     parameters = unknowns.y_parameter
-    silent = unfelt(bread, unknowns, position, resolution)
+    silent = unfelt(bread, unknowns, position, resolution) & ~unknowns.y_nuisance
     reasons = [
         _silent(kind, labels[silent & (parameters == kind)])
-        for kind in unknowns.names
+        for kind in unknowns.sought
         if (silent & (parameters == kind)).any()
     ]
     unidentified = silent.copy()

@@ -256,7 +256,7 @@ class _Held:
 
 def _index(unknowns: Unknowns, argument: str, label: str) -> int:
     labels = list(unknowns.free_labels)
-    free = [one for one in labels if labels.count(one) == 1]
+    free = [one for one in unknowns.labels if labels.count(one) == 1]
     if label not in free:
         there = ", ".join(free)
         raise ValueError(f"{argument}: expected one of {there}, got {label!r}")

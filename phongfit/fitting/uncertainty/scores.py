@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 
 from phongfit.fitting.problem.noise import shared_rounding_variance
 from phongfit.fitting.problem.problem import Evaluation, Problem
-from phongfit.fitting.solve.sums import EXACT, linearize
+from phongfit.fitting.solve.sums import EXACT, linearize, linearized
 from phongfit.fitting.uncertainty.sandwich import threshold
 from phongfit.programs import program
 
@@ -166,7 +166,3 @@ def shared_rounding(problem: Problem, y: Float[Array, " n"]) -> np.ndarray:
         np.bincount(group, weights=column * share.ravel()[used]) for column in columns
     ]
     return np.array(sums) @ np.array(sums).T
-
-
-linearized = program()(linearize)
-"""[`linearize`][], compiled alone."""

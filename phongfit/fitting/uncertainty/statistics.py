@@ -13,7 +13,12 @@ from phongfit.codes import coded
 from phongfit.fitting.problem.noise import median_deviation, shared_rounding_variance
 from phongfit.fitting.problem.problem import Evaluation, Problem
 from phongfit.fitting.problem.unknowns import Unknowns
-from phongfit.fitting.solve.sums import Linearization, linearize
+from phongfit.fitting.solve.sums import (
+    Linearization,
+    in_double,
+    linearize,
+    linearized,
+)
 from phongfit.fitting.uncertainty.identifiability import find_unidentified
 from phongfit.fitting.uncertainty.intervals import Quadratic
 from phongfit.fitting.uncertainty.sandwich import (
@@ -24,7 +29,6 @@ from phongfit.fitting.uncertainty.sandwich import (
 )
 from phongfit.fitting.uncertainty.scores import (
     independent_variance,
-    linearized,
     shared_rounding,
 )
 from phongfit.programs import program
@@ -50,6 +54,7 @@ class Statistics:
     at_bound: np.ndarray
     chi_squared: float
     reasons: tuple[str, ...]
+    nuisance: np.ndarray
 
     @property
     def stderr(self) -> np.ndarray:
@@ -59,7 +64,8 @@ class Statistics:
     @property
     def scale(self) -> float:
         """Factor from the increase of the cost to Δχ², from the variances."""
-        ratios = (self.spread / self.stderr)[np.isfinite(self.stderr)] ** 2
+        chosen = np.isfinite(self.stderr) & ~self.nuisance
+        ratios = (self.spread / self.stderr)[chosen] ** 2
         return float(np.mean(ratios)) if len(ratios) else 1.0
 
 
@@ -87,7 +93,7 @@ def statistics(
     unidentified, reasons = find_unidentified(
         sandwich.inside, unknowns, position, sandwich.resolution
     )
-    if unidentified.all() and _all_white(problem):
+    if unidentified[~unknowns.y_nuisance].all() and _all_white(problem):
         words = "nothing is identifiable: all samples that are used are white"
         reasons = (coded("all-white", words),)
     at_bound &= ~unidentified
@@ -103,7 +109,14 @@ def statistics(
     covariance[unidentified, unidentified] = np.inf
     chi_squared = float(found.chi_squared)
     return Statistics(
-        sandwich, covariance, spread, unidentified, at_bound, chi_squared, reasons
+        sandwich,
+        covariance,
+        spread,
+        unidentified,
+        at_bound,
+        chi_squared,
+        reasons,
+        unknowns.y_nuisance,
     )
 
 
@@ -123,15 +136,16 @@ def sandwich_at(
     if found.exact:
         # Residuals are rounding of the arithmetic, which samples share.
         inflation = inflation * float(np.sum(np.asarray(problem.samples.weight) > 0))
-    if _too_coarse(found.inside, resolution):
-        found = in_numpy(sums_in_double(problem, y))
+    if _too_coarse(found.inside + found.known, resolution):
+        found = in_numpy(sandwich_sums_in_double(problem, y))
     meat = found.meat
     if found.shared > 1e-6:
         meat = meat + found.loss_variance * shared_rounding(problem, y)
-    meat = inflation * meat
-    if problem.inherited is not None:
-        meat = meat + np.asarray(problem.inherited, float)
-    return Sandwich(found.bread, meat, found.pull, found.inside, resolution)
+    # A lack of fit does not change what a calibration knows of uncertain arrays.
+    factor = np.where(problem.unknowns.y_nuisance, 1, inflation)
+    meat = inflation * meat + factor * found.known
+    inside = found.inside + found.known
+    return Sandwich(found.bread, meat, found.pull, inside, resolution)
 
 
 def quadratic_about(
@@ -160,23 +174,21 @@ def _too_coarse(bread: np.ndarray, resolution: float) -> bool:
     return bool(np.any(values < 1e4 * resolution))
 
 
-def sums_in_double(problem: Problem, y: Float[Array, " n"]) -> "SandwichSums":
+def sandwich_sums_in_double(problem: Problem, y: Float[Array, " n"]) -> "SandwichSums":
     """The sums at a solution, added up in double precision."""
-    parts = problem, linearized(problem, y)
-    with jax.enable_x64(True):
-        return _sandwich_sums(*jax.tree.map(_in_double, parts))
-
-
-def _in_double(leaf: Any) -> Any:
-    return jnp.asarray(np.asarray(leaf), float) if eqx.is_inexact_array(leaf) else leaf
+    return in_double(_sandwich_sums, problem, linearized(problem, y))
 
 
 class SandwichSums(eqx.Module):
-    """Sums over the samples, from which all statistics are computed."""
+    """Sums over the samples, from which all statistics are computed.
+
+    `known` is the information of the priors; `bread` and `pull` include them.
+    """
 
     bread: Float[Array, "n n"]
     meat: Float[Array, "n n"]
     inside: Float[Array, "n n"]
+    known: Float[Array, "n n"]
     pull: Float[Array, " n"]
     drift: Float[Array, " n"]
     loss_variance: Float[Array, ""]
@@ -226,8 +238,9 @@ def _sandwich_sums(problem: Problem, found: Linearization) -> SandwichSums:
         meat, shared = problem.scatter * jnp.outer(root, root), jnp.zeros((), kind)
     return SandwichSums(
         bread=steepness * bread + known,
-        meat=meat + known,
-        inside=inside + known,
+        meat=meat,
+        inside=inside,
+        known=known,
         pull=jacobian.pull(score) + jacobian.priors.T @ priors,
         drift=jacobian.pull(at.drift),
         loss_variance=variance,
