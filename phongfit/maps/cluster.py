@@ -12,25 +12,17 @@ import importlib.util
 import os
 import sys
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from phongfit.cache import cache_environment
 from phongfit.checks import untraced
 from phongfit.edge import checked, shown
-from phongfit.files.outputs import alone_in
-from phongfit.files.zarrs import (
-    address,
-    is_remote,
-    open_group,
-    require,
-    store_of,
-    write_attributes,
-)
+from phongfit.files.zarrs import open_group, require, store_of, write_attributes
 from phongfit.maps.blocks import Counts, Place, fit_block, make_place
 from phongfit.maps.run import as_mesh, bar, side_by_side
 from phongfit.maps.stacks import AbstractStack, ZarrStack
-from phongfit.maps.stored import StoredMaps, check_place
+from phongfit.maps.store import alone_at
+from phongfit.maps.stored import StoredMaps
 from phongfit.scene import Scene
 
 if TYPE_CHECKING:
@@ -101,11 +93,10 @@ def fit_stored_maps(
     broken; `OSError` if the output cannot be written, another run writes there, or the
     cluster is gone. Finished blocks are kept.
     """
-    require("zarr", "fsspec", "cloudpickle")
+    require("cloudpickle")
     untraced("fit_stored_maps is no function that JAX can trace", scenes=scenes)
     stack = images if isinstance(images, AbstractStack) else ZarrStack(images)
     stored = stack if isinstance(stack, ZarrStack) else None
-    output = address(output)
     if stored is None and client is not None:
         raise ValueError(
             "client: expected none with photographs that this process reads; workers "
@@ -113,14 +104,9 @@ def fit_stored_maps(
         )
     client = _current() if client is None and stored is not None else client
     _check_client(client)
-    with contextlib.ExitStack() as alone:
-        if not is_remote(output):
-            output = os.path.abspath(output)
-            check_place(output, None if stored is None else store_of(stored.array))
-            Path(output).mkdir(parents=True, exist_ok=True)
-            alone.enter_context(alone_in(Path(output)))
-        place, plan = make_place(tuple(scenes), stack, output, block, **options)
-        count = plan.grid[0] * plan.grid[1]
+    source = None if stored is None else store_of(stored.array)
+    with alone_at(output, source) as output:
+        place, count = make_place(tuple(scenes), stack, output, block, **options)
         done = (
             _here(place, count, None if stored else stack)
             if client is None
