@@ -5,9 +5,7 @@ arrays themselves. Finished blocks are recorded in the output's ledger instead o
 memory, so that workers, scheduler and this process may die at any moment.
 """
 
-import concurrent.futures
 import contextlib
-import contextvars
 import importlib.util
 import os
 import sys
@@ -18,6 +16,7 @@ from phongfit.cache import cache_environment
 from phongfit.checks import untraced
 from phongfit.edge import checked, shown
 from phongfit.files.zarrs import open_group, require, store_of, write_attributes
+from phongfit.maps.ahead import ahead
 from phongfit.maps.blocks import Counts, Place, fit_block, make_place
 from phongfit.maps.run import as_mesh, bar, side_by_side
 from phongfit.maps.stacks import AbstractStack, ZarrStack
@@ -126,20 +125,13 @@ def _here(
     cores = side_by_side(as_mesh(None))
     beside = min(cores, BESIDE)
 
-    def begin(number: int, threads: int) -> concurrent.futures.Future[Any]:
-        context = contextvars.copy_context()
-        return workers.submit(context.run, fit_block, place, number, stack, threads)
+    def fit(number: int) -> tuple[Counts, bool]:
+        return fit_block(place, number + 1, stack, cores // beside)
 
-    with concurrent.futures.ThreadPoolExecutor(beside) as workers:
-        # The first alone, since the others use the program that it compiles.
-        yield 0, begin(0, cores).result()
-        coming = [begin(number, cores // beside) for number in range(1, count)]
-        try:
-            for number, done in enumerate(coming, start=1):
-                yield number, done.result()
-        finally:
-            for block in coming:
-                block.cancel()
+    # The first alone, since the others use the program that it compiles.
+    yield 0, fit_block(place, 0, stack, cores)
+    for number, done in ahead(fit, count - 1, beside):
+        yield number + 1, done
 
 
 def _current() -> "distributed.Client | None":

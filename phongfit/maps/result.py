@@ -463,6 +463,27 @@ class Maps:
             arrays["noise_given"] = self.noise_given
         return arrays
 
+    def to_xarray(self) -> Any:
+        """An `xarray.Dataset` of the arrays over the pixels, by their names in files.
+
+        Dimensions are `y`, `x`, and `channel`, or `axis` of normals; one exponent for
+        all channels has no third dimension.
+
+        **Raises:** `ImportError` if xarray is not installed.
+        """
+        try:
+            import xarray  # pyright: ignore[reportMissingImports]
+        except ImportError as error:
+            raise ImportError(
+                "to_xarray: xarray is not installed: pip install xarray"
+            ) from error
+        variables = {}
+        for name, array in self.pixel_arrays().items():
+            array = array[..., 0] if array.shape[2:] == (1,) else array
+            last = "axis" if name == "normals" else "channel"
+            variables[name] = ("y", "x", last)[: array.ndim], array
+        return xarray.Dataset(variables)
+
     def counts(self) -> dict[str, int]:
         """Numbers of pixels that were fitted, are identified, and have each flag."""
         inside = ~self.flagged(Flag.OUTSIDE)
@@ -714,6 +735,7 @@ def _taken(
         (array >= layer.least) & (array <= layer.most)
     ):
         words = "numbers" if np.isinf(layer.most) else "finite numbers"
+        words = words if shape else "a number"
         raise ValueError(f"{name}: expected {words} ≥ {layer.least:g}")
     return array
 
