@@ -1,6 +1,7 @@
 """`phongfit maps`: photographs under many lights in, maps of the material out."""
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
@@ -18,13 +19,21 @@ from phongfit.commands.options import (
     parse_bounds,
 )
 from phongfit.commands.progress import stage
+from phongfit.commands.stored import (
+    Input,
+    check_room,
+    check_stored,
+    erase_maps,
+    fit_to_store,
+    read_input,
+)
 from phongfit.files.dataset import Photographs
 from phongfit.files.fits import DataRecord, LossName
 from phongfit.files.inputs import naming
 from phongfit.files.materials import read_material
 from phongfit.files.outputs import OVERWRITE, replacing, replacing_folder
 from phongfit.files.schema import describe_material
-from phongfit.files.zarrs import is_store
+from phongfit.files.zarrs import address, is_store
 from phongfit.fitting.fit import fit
 from phongfit.fitting.problem.parameters import EXPOSURE
 from phongfit.geometry.cameras import OrthographicCamera
@@ -34,18 +43,17 @@ from phongfit.maps.folder import (
     NORMALS_FILE,
     NORMALS_PICTURE,
     RECORD_FILE,
-    MapSettings,
+    MapOptions,
     save_folder,
 )
 from phongfit.maps.passes import usual_passes
 from phongfit.maps.result import MAP_PARAMETERS, Maps, StrengthsName
 from phongfit.maps.run import fit_maps
 from phongfit.maps.stacks import DatasetStack
+from phongfit.maps.stored import StoredMaps
 from phongfit.maps.view_angle import check_fov, fit_fov, seen_over
 from phongfit.material import Material
 from phongfit.plain import plain
-from phongfit.rendering.film import Film
-from phongfit.scene import Scene
 
 TILES = "tiles"
 FLAGS_FILE = "flags.png"
@@ -156,49 +164,95 @@ def main(options: Options) -> int:
         raise ValueError(
             f"dask: {options.dask} wants a zarr array as DATASET, got {dataset}"
         )
-    if is_store(dataset) or is_store(options.out):
-        from phongfit.commands.stored import main as stored
-
-        return stored(options)
+    stored = is_store(dataset) or is_store(options.out)
+    if stored:
+        check_stored(options)
+    if is_store(options.out):
+        print(_to_store(options), flush=True)
+        return 0
     if not options.overwrite and (options.out / RECORD_FILE).exists():
         raise OSError(f"{options.out}: there are maps in it; {OVERWRITE}")
     with replacing_folder(options.out, replaceable(options)) as folder:
         given = arguments(options)
-        stack, read = stack_data(options.data)
-        tell(stack.photographs.notes)
-        if options.data.fov == "fit":
-            stack, read = _with_fitted_fov(stack, read, given)
-        if options.passes is None and options.data.sought:
-            given["passes"] = usual_passes(stack.photographs.scenes)
-        if options.strengths is None and _lacks_strengths(options, stack):
-            given["strengths"] = "auto"
-        if options.highlight == "shared":
-            known = _shared(stack.photographs, given)
-            given |= {"known": known, "unknowns": SHARED}
-        try:
-            found = _fit_tiles(options, stack, given)
-            film = stack.photographs.film
-            save(folder, found, stack.photographs.scenes[0], film, read, given)
-        except KeyboardInterrupt as stop:
-            stay = "finished tiles stay in {}, the same command goes on there"
-            stop.args = (stay.format(options.out),)
-            raise
-        doubtful = None
-        if "specular" in given["unknowns"] and _assumes_parallel_rays(options, stack):
-            doubtful = _fov_warning(stack, given)
+        make = _of_store if stored else _of_photographs
+        found, read, notes = make(options, given)
+        with _resumable(options):
+            save(folder, found, read, given)
         with keeping(options.out, folder) as kept:
-            print(found, flush=True)
-            if given["strengths"] == "auto" and found.strengths is None:
-                print(EQUAL_STRENGTHS, flush=True)
-            if stack.photographs.uncertain:
-                print(HELD, flush=True)
-            if doubtful is not None:
-                print(f"warning: {doubtful}", flush=True)
+            print("\n".join([str(found), *notes]), flush=True)
             if options.pictures:
                 with stage("drawing"):
                     draw(folder, found)
     kept.tell()
     return 0
+
+
+@contextlib.contextmanager
+def _resumable(options: Options) -> Iterator[None]:
+    """Tell in an interrupt's message that the same command continues the work."""
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        stay = "finished tiles stay in {}, the same command goes on there"
+        stop.args = (stay.format(options.out),)
+        raise
+
+
+def _to_store(options: Options) -> StoredMaps:
+    """Fit maps into a zarr store."""
+    given, read = arguments(options), read_input(options.data)
+    if options.overwrite:
+        erase_maps(address(options.out), read.stack)
+    with _resumable(options):
+        return fit_to_store(options, read, given, address(options.out))
+
+
+def _of_store(options: Options, given: dict[str, Any]) -> tuple[Maps, Input, list[str]]:
+    """Fit images of a zarr store; the maps must fit into memory."""
+    read = read_input(options.data)
+    check_room(read)
+    with _resumable(options):
+        found = fit_to_store(options, read, given, str(options.out / TILES))
+    return found.load(), read, []
+
+
+def _of_photographs(
+    options: Options, given: dict[str, Any]
+) -> tuple[Maps, Input, list[str]]:
+    """Fit photographs, and complete `given` by what depends on them.
+
+    **Returns:** maps, data, and notes for the user.
+    """
+    stack, read = stack_data(options.data)
+    tell(stack.photographs.notes)
+    if options.data.fov == "fit":
+        stack, read = _with_fitted_fov(stack, read, given)
+    photographs = stack.photographs
+    if options.passes is None and options.data.sought:
+        given["passes"] = usual_passes(photographs.scenes)
+    if options.strengths is None and _lacks_strengths(options, stack):
+        given["strengths"] = "auto"
+    if options.highlight == "shared":
+        given |= {"known": _shared(photographs, given), "unknowns": SHARED}
+    with _resumable(options):
+        found = fit_maps(
+            photographs.scenes,
+            stack,
+            mask=stack.mask,
+            film=photographs.films(),
+            tile_pixels=options.tile_pixels,
+            output=options.out / TILES,
+            **given,
+        )
+    notes = []
+    if given["strengths"] == "auto" and found.strengths is None:
+        notes.append(EQUAL_STRENGTHS)
+    if photographs.uncertain:
+        notes.append(HELD)
+    if "specular" in given["unknowns"] and _assumes_parallel_rays(options, stack):
+        doubtful = _fov_warning(stack, given)
+        notes += [] if doubtful is None else [f"warning: {doubtful}"]
+    return found, Input(photographs.scenes, stack, photographs.film, {}, read), notes
 
 
 def _with_fitted_fov(
@@ -251,35 +305,15 @@ def _assumes_parallel_rays(options: Options, stack: DatasetStack) -> bool:
     )
 
 
-def _fit_tiles(options: Options, stack: DatasetStack, given: dict[str, Any]) -> Maps:
-    """Fit all pixels, reusing finished tiles."""
-    return fit_maps(
-        stack.photographs.scenes,
-        stack,
-        mask=stack.mask,
-        film=stack.photographs.films(),
-        tile_pixels=options.tile_pixels,
-        output=options.out / TILES,
-        **given,
-    )
-
-
-def save(
-    folder: Path,
-    found: Maps,
-    scene: Scene,
-    film: Film,
-    read: DataRecord,
-    given: dict[str, Any],
-) -> None:
+def save(folder: Path, found: Maps, read: Input, given: dict[str, Any]) -> None:
     """Write all files except pictures."""
     save_folder(
         folder,
         found,
-        data=read,
+        data=read.record,
         settings=_settings(given),
-        model=scene.specular_model,
-        encoding=film.encoding,
+        model=read.scenes[0].specular_model,
+        encoding=read.film.encoding,
     )
 
 
@@ -344,10 +378,10 @@ def _shared(photographs: Photographs, given: dict[str, Any]) -> Material:
     return one.material
 
 
-def _settings(given: dict[str, Any]) -> MapSettings:
+def _settings(given: dict[str, Any]) -> MapOptions:
     known = given["known"]
     described = None if known is None else describe_material(known)
-    return MapSettings.model_validate(plain(given | {"known": described}))
+    return MapOptions.model_validate(plain(given | {"known": described}))
 
 
 def draw(folder: Path, found: Maps) -> None:

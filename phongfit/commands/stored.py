@@ -1,4 +1,4 @@
-"""`phongfit maps` from or to zarr: block by block, perhaps on a Dask cluster."""
+"""Inputs and outputs of `phongfit maps` in zarr, perhaps fitted on a Dask cluster."""
 
 import contextlib
 from pathlib import Path
@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from phongfit.commands.data import DataOptions, stack_data, tell
-from phongfit.commands.keeping import keeping
-from phongfit.commands.progress import stage
 from phongfit.edge import shown
 from phongfit.files.budget import afford
 from phongfit.files.capture_data import (
@@ -23,7 +21,6 @@ from phongfit.files.fits import DataRecord
 from phongfit.files.inputs import naming, recording
 from phongfit.files.lp import read_camera_lp
 from phongfit.files.matching import base_name
-from phongfit.files.outputs import OVERWRITE, replacing_folder
 from phongfit.files.scenes import SCENE_FILE, load_views
 from phongfit.files.seen import SOUGHT, camera_of, seen_in
 from phongfit.files.zarrs import (
@@ -39,9 +36,9 @@ from phongfit.files.zarrs import (
 from phongfit.geometry.cameras import OrthographicCamera
 from phongfit.geometry.surfaces import AbstractSurface, NormalMap
 from phongfit.maps.cluster import dashboard, dask_client, fit_stored_maps
-from phongfit.maps.folder import RECORD_FILE
 from phongfit.maps.stacks import AbstractStack, ZarrStack
-from phongfit.maps.stored import STORE_FORMAT, StoredMaps, check_place
+from phongfit.maps.store import check_place
+from phongfit.maps.stored import STORE_FORMAT, StoredMaps
 from phongfit.plain import readable
 from phongfit.rendering.film import Film
 from phongfit.scene import Scene
@@ -54,7 +51,7 @@ PIXEL = 110
 """Bytes of memory for the maps of a pixel."""
 
 
-class _Input(NamedTuple):
+class Input(NamedTuple):
     """Data to fit, with further arguments of [`fit_stored_maps`][]."""
 
     scenes: tuple[Scene, ...]
@@ -64,73 +61,61 @@ class _Input(NamedTuple):
     record: DataRecord
 
 
-def main(options: "Options") -> int:
-    """Fit; see [`phongfit.commands.maps`][]."""
-    from phongfit.commands import maps as command
+def check_stored(options: "Options") -> None:
+    """Check the options of a run from or to zarr.
 
-    if options.highlight == "shared":
-        raise ValueError(
-            "highlight: expected own from or to zarr, since a highlight that is shared "
-            "is found with all images in memory, got shared"
-        )
-    if options.tile_pixels is not None:
-        raise ValueError(
-            "tile_pixels: expected none from or to zarr: chunks or shards say how much "
-            "is in memory at a time"
-        )
-    if options.passes not in (None, 1):
-        raise ValueError(
-            "passes: expected 1 from or to zarr, since the surface would have to be "
-            f"made whole in memory, got {options.passes}"
-        )
-    if options.strengths not in (None, "given"):
-        raise ValueError(
-            "strengths: expected given from or to zarr, since they are found from all "
-            f"images before the maps, got {options.strengths}"
-        )
+    **Raises:** `ValueError` that names the option.
+    """
+    whole = "which is found with all images in memory"
+    for name, usual, why in (
+        ("highlight", ("own",), whole),
+        ("tile_pixels", (None,), "since chunks or shards are read as a whole"),
+        ("passes", (1, None), "since the surface would have to be whole in memory"),
+        ("strengths", ("given", None), "since they are found from all images"),
+    ):
+        given = getattr(options, name)
+        if given not in usual:
+            expected = "none" if usual[0] is None else usual[0]
+            raise ValueError(
+                f"{name}: expected {expected} from or to zarr, {why}, got {given}"
+            )
     if options.data.fov == "fit":
         raise ValueError(
             "fov: expected degrees from or to zarr, since the angle is found before "
             "the maps, got fit"
         )
-    if is_store(options.data.dataset):
-        read = _read(options.data)
-    else:
-        read = _read_photographs(options.data)
-    given = command.arguments(options)
-    given.pop("passes")
-    given.pop("strengths")
-    out = options.out
-    if is_store(out):
-        if options.overwrite:
-            stack = read.stack
-            source = store_of(stack.array) if isinstance(stack, ZarrStack) else None
-            _erase(address(out), source)
-        print(_fit(options, read, given, address(out)), flush=True)
-        return 0
+
+
+def read_input(options: DataOptions) -> Input:
+    """Scenes and images of a store, or of photographs, which are decoded.
+
+    **Raises:** `ValueError` that names the file or the option.
+    """
+    if is_store(options.dataset):
+        return _read(options)
+    stack, record = stack_data(options)
+    photographs = stack.photographs
+    tell(photographs.notes)
+    mask = None if stack.mask.all() else stack.mask
+    more = {"mask": mask, "film": photographs.films()}
+    return Input(photographs.scenes, stack, photographs.film, more, record)
+
+
+def check_room(read: Input) -> None:
+    """Check that memory can hold the maps of a folder, before the fit."""
     _, height, width = read.stack.shape
     with naming("out"):
-        # Checked before the fit; a zarr store would not need this memory.
+        # A zarr store would not need this memory.
         afford(PIXEL * height * width, f"a folder of maps of {height} × {width} pixels")
-    if not options.overwrite and (out / RECORD_FILE).exists():
-        raise OSError(f"{out}: there are maps in it; {OVERWRITE}")
-    with replacing_folder(out, command.replaceable(options)) as folder:
-        tiles = str(out / command.TILES / "maps.zarr")
-        found = _fit(options, read, given, tiles).load()
-        command.save(folder, found, read.scenes[0], read.film, read.record, given)
-        with keeping(out, folder) as kept:
-            print(found, flush=True)
-            if options.pictures:
-                with stage("drawing"):
-                    command.draw(folder, found)
-    kept.tell()
-    return 0
 
 
-def _fit(
-    options: "Options", read: _Input, given: dict[str, Any], output: str
+def fit_to_store(
+    options: "Options", read: Input, given: dict[str, Any], output: str
 ) -> StoredMaps:
     """Fit maps into a store, in this process or by Dask workers."""
+    given = {
+        name: x for name, x in given.items() if name not in ("passes", "strengths")
+    }
     with contextlib.ExitStack() as place:
         client = None
         if options.dask is not None:
@@ -138,27 +123,23 @@ def _fit(
             page = dashboard(client)
             if page is not None:
                 print(f"dask: {page}", flush=True)
-        try:
-            return fit_stored_maps(
-                read.scenes,
-                read.stack,
-                output,
-                client=client,
-                **given | read.arguments,
-            )
-        except KeyboardInterrupt as stop:
-            stay = "finished blocks stay in {}, the same command goes on there"
-            stop.args = (stay.format(options.out),)
-            raise
+        return fit_stored_maps(
+            read.scenes,
+            read.stack,
+            output,
+            client=client,
+            **given | read.arguments,
+        )
 
 
-def _erase(output: str, images: str | None) -> None:
+def erase_maps(output: str, images: AbstractStack) -> None:
     """Remove older maps, and nothing else.
 
     **Raises:** `OSError` that names an existing store that has no maps.
     """
     if not is_remote(output):
-        check_place(output, images)
+        stored = isinstance(images, ZarrStack)
+        check_place(output, store_of(images.array) if stored else None)
         if not Path(output).exists() or not any(Path(output).iterdir()):
             return
     if attributes(open_group(output)).get("format") != STORE_FORMAT:
@@ -166,20 +147,7 @@ def _erase(output: str, images: str | None) -> None:
     erase(output)
 
 
-def _read_photographs(options: DataOptions) -> _Input:
-    """A folder's photographs, decoded.
-
-    **Raises:** `ValueError` that names the file or the option.
-    """
-    stack, record = stack_data(options)
-    photographs = stack.photographs
-    tell(photographs.notes)
-    mask = None if stack.mask.all() else stack.mask
-    more = {"mask": mask, "film": photographs.films()}
-    return _Input(photographs.scenes, stack, photographs.film, more, record)
-
-
-def _read(options: DataOptions) -> _Input:
+def _read(options: DataOptions) -> Input:
     """The images of a store, with scenes and lights from files beside it.
 
     **Raises:** `ValueError` that names the file or the option.
@@ -203,7 +171,7 @@ def _read(options: DataOptions) -> _Input:
     )
     if clamped:
         more["film"] = film
-    return _Input(scenes, stack, film, more, record)
+    return Input(scenes, stack, film, more, record)
 
 
 def _scenes(

@@ -1,6 +1,6 @@
 """Arrays that may exceed memory: zarr, version 3, on a disk or an object store.
 
-Needs zarr and fsspec, which `phongfit[cluster]` installs.
+Object stores need fsspec, which `phongfit[cluster]` installs.
 """
 
 import contextlib
@@ -27,7 +27,7 @@ IMAGES = "images"
 """Name of the images in a group that has other arrays as well."""
 
 Window = tuple[slice, ...]
-"""Rows and columns."""
+"""Ranges along the first axes of an array."""
 
 
 def require(*names: str) -> None:
@@ -53,6 +53,16 @@ def address(path: str | os.PathLike[str]) -> str:
     """The path or URL of a store, in zarr's notation."""
     # Restore the second slash of a URL, which pathlib removes.
     return re.sub(r"^([a-z0-9]{2,}):/(?=[^/])", r"\1://", os.fspath(path))
+
+
+def _reachable(path: str | os.PathLike[str]) -> str:
+    """The address of a store.
+
+    **Raises:** `ValueError` if the library for object stores is not installed.
+    """
+    if is_remote(path):
+        require("fsspec")
+    return address(path)
 
 
 def is_remote(path: str | os.PathLike[str]) -> bool:
@@ -83,10 +93,9 @@ def open_array(path: str | os.PathLike[str], name: str = "") -> "Array":
     **Raises:** `ValueError` that names the store: it is missing, broken, has chunks
     above the limit of memory, or zarr is not installed.
     """
-    require("zarr", "fsspec")
     import zarr
 
-    path = address(path)
+    path = _reachable(path)
     inside: Any = {"path": name} if name else {}
     with _blaming(path, "read"):
         array: Any = zarr.open_array(path, mode="r", zarr_format=3, **inside)
@@ -99,10 +108,9 @@ def open_group(path: str | os.PathLike[str], mode: Any = "r") -> "Group":
 
     **Raises:** as [`open_array`][] does; `OSError` if the group cannot be made.
     """
-    require("zarr", "fsspec")
     import zarr
 
-    path = address(path)
+    path = _reachable(path)
     with _blaming(path, "read" if mode == "r" else "written"):
         return zarr.open_group(path, mode=mode, zarr_format=3)
 
@@ -112,13 +120,13 @@ def find_images(path: str | os.PathLike[str]) -> "Array":
 
     **Raises:** `ValueError` that names the store and the error.
     """
-    require("zarr", "fsspec")
     import zarr
 
-    with _blaming(address(path), "read"):
-        node = zarr.open(address(path), mode="r", zarr_format=3)
+    path = _reachable(path)
+    with _blaming(path, "read"):
+        node = zarr.open(path, mode="r", zarr_format=3)
     found = open_array(path, "" if isinstance(node, zarr.Array) else IMAGES)
-    check_images(found, address(path))
+    check_images(found, path)
     return found
 
 
@@ -171,6 +179,7 @@ def fingerprint(array: "Array") -> str:
 
     Chunks are not read, since they may be petabytes.
     """
+    require("fsspec")
     import fsspec
 
     path = place_of(array)
@@ -187,29 +196,16 @@ def fingerprint(array: "Array") -> str:
     return digest.hexdigest()
 
 
-def read_window(
-    array: "Array", window: Window, size: tuple[int, int], first: int = 0
-) -> np.ndarray:
-    """A rectangle of an array, with zeros where it reaches beyond its edges.
-
-    **Arguments:**
-
-    - `window`: rows and columns.
-    - `size`: of the result, pixels.
-    - `first`: number of axes before those of rows and columns.
+def read_window(array: "Array", window: Window) -> np.ndarray:
+    """A part of an array.
 
     **Raises:** `OSError` or `ValueError` that names the store.
     """
-    count = math.prod((*array.shape[:first], *size, *array.shape[first + 2 :]))
+    sides = [len(range(n)[part]) for n, part in zip(array.shape, window, strict=False)]
+    count = math.prod((*sides, *array.shape[len(window) :]))
     with _blaming(place_of(array), "read"):
-        afford(count * array.dtype.itemsize, f"{size[0]} × {size[1]} pixels")
-        part = np.asarray(array[(*[slice(None)] * first, *window)])
-    rows, columns = part.shape[first : first + 2]
-    if (rows, columns) == size:
-        return part
-    whole = np.zeros((*part.shape[:first], *size, *part.shape[first + 2 :]), part.dtype)
-    whole[(*[slice(None)] * first, slice(rows), slice(columns))] = part
-    return whole
+        afford(count * array.dtype.itemsize, f"{' × '.join(map(str, sides))} numbers")
+        return np.asarray(array[window])
 
 
 def write_window(array: "Array", window: Window, values: np.ndarray) -> None:
@@ -254,12 +250,15 @@ def make_array(
 
 
 def keep_array(
-    group: "Group", name: str, array: np.ndarray, chunk: tuple[int, int]
+    group: "Group", name: str, array: np.ndarray, chunks: Sequence[int]
 ) -> None:
-    """Make an array of rows and columns in a group, and write its values."""
-    chunks = (*chunk, *array.shape[2:])
+    """Make an array in a group, and write its values.
+
+    **Arguments:** `chunks`: lengths of a chunk along the first axes.
+    """
+    chunks = (*chunks, *array.shape[len(chunks) :])
     made = make_array(group, name, array.shape, array.dtype, chunks)
-    write_window(made, (slice(None), slice(None)), array)
+    write_window(made, (slice(None),), array)
 
 
 def writable(group: "Group", name: str) -> "Array":
@@ -311,6 +310,7 @@ def erase(path: str | os.PathLike[str]) -> None:
 
     **Raises:** `OSError` that names the store.
     """
+    require("fsspec")
     import fsspec
 
     path = address(path)

@@ -5,32 +5,23 @@ arrays themselves. Finished blocks are recorded in the output's ledger instead o
 memory, so that workers, scheduler and this process may die at any moment.
 """
 
-import concurrent.futures
 import contextlib
-import contextvars
 import importlib.util
 import os
 import sys
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from phongfit.cache import cache_environment
 from phongfit.checks import untraced
 from phongfit.edge import checked, shown
-from phongfit.files.outputs import alone_in
-from phongfit.files.zarrs import (
-    address,
-    is_remote,
-    open_group,
-    require,
-    store_of,
-    write_attributes,
-)
+from phongfit.files.zarrs import open_group, require, store_of, write_attributes
+from phongfit.maps.ahead import ahead
 from phongfit.maps.blocks import Counts, Place, fit_block, make_place
 from phongfit.maps.run import as_mesh, bar, side_by_side
 from phongfit.maps.stacks import AbstractStack, ZarrStack
-from phongfit.maps.stored import StoredMaps, check_place
+from phongfit.maps.store import alone_at
+from phongfit.maps.stored import StoredMaps
 from phongfit.scene import Scene
 
 if TYPE_CHECKING:
@@ -101,11 +92,10 @@ def fit_stored_maps(
     broken; `OSError` if the output cannot be written, another run writes there, or the
     cluster is gone. Finished blocks are kept.
     """
-    require("zarr", "fsspec", "cloudpickle")
+    require("cloudpickle")
     untraced("fit_stored_maps is no function that JAX can trace", scenes=scenes)
     stack = images if isinstance(images, AbstractStack) else ZarrStack(images)
     stored = stack if isinstance(stack, ZarrStack) else None
-    output = address(output)
     if stored is None and client is not None:
         raise ValueError(
             "client: expected none with photographs that this process reads; workers "
@@ -113,14 +103,9 @@ def fit_stored_maps(
         )
     client = _current() if client is None and stored is not None else client
     _check_client(client)
-    with contextlib.ExitStack() as alone:
-        if not is_remote(output):
-            output = os.path.abspath(output)
-            check_place(output, None if stored is None else store_of(stored.array))
-            Path(output).mkdir(parents=True, exist_ok=True)
-            alone.enter_context(alone_in(Path(output)))
-        place, plan = make_place(tuple(scenes), stack, output, block, **options)
-        count = plan.grid[0] * plan.grid[1]
+    source = None if stored is None else store_of(stored.array)
+    with alone_at(output, source) as output:
+        place, count = make_place(tuple(scenes), stack, output, block, **options)
         done = (
             _here(place, count, None if stored else stack)
             if client is None
@@ -140,20 +125,13 @@ def _here(
     cores = side_by_side(as_mesh(None))
     beside = min(cores, BESIDE)
 
-    def begin(number: int, threads: int) -> concurrent.futures.Future[Any]:
-        context = contextvars.copy_context()
-        return workers.submit(context.run, fit_block, place, number, stack, threads)
+    def fit(number: int) -> tuple[Counts, bool]:
+        return fit_block(place, number + 1, stack, cores // beside)
 
-    with concurrent.futures.ThreadPoolExecutor(beside) as workers:
-        # The first alone, since the others use the program that it compiles.
-        yield 0, begin(0, cores).result()
-        coming = [begin(number, cores // beside) for number in range(1, count)]
-        try:
-            for number, done in enumerate(coming, start=1):
-                yield number, done.result()
-        finally:
-            for block in coming:
-                block.cancel()
+    # The first alone, since the others use the program that it compiles.
+    yield 0, fit_block(place, 0, stack, cores)
+    for number, done in ahead(fit, count - 1, beside):
+        yield number + 1, done
 
 
 def _current() -> "distributed.Client | None":

@@ -29,7 +29,7 @@ NORMALS_FILE = "normals.npy"
 NORMALS_PICTURE = "normals.png"
 
 
-class MapSettings(AbstractRecord):
+class MapOptions(AbstractRecord):
     """Options of the fit of maps: see [`fit_maps`][]."""
 
     unknowns: Many[str] = list(MAP_PARAMETERS)
@@ -66,7 +66,7 @@ class MapsRecord(AbstractRecord):
     format: Literal["phongfit maps"]
     version: Literal[1, 2]
     data: DataRecord
-    settings: MapSettings
+    settings: MapOptions
     model: SpecularRecord
     encoding: EncodingField | None = None
     materials: Many[SharedRecord] | None = None
@@ -79,7 +79,7 @@ def save_folder(
     maps: Maps,
     *,
     data: DataRecord,
-    settings: MapSettings,
+    settings: MapOptions,
     model: AbstractSpecular,
     encoding: Encoding,
 ) -> None:

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import hashlib
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, Protocol, runtime_checkable
 
@@ -18,7 +19,7 @@ from phongfit.fitting.problem.shapes import takes_exponent
 from phongfit.geometry.shading import PhongShading
 from phongfit.geometry.surfaces import NormalMap
 from phongfit.geometry.tracing import trace
-from phongfit.maps.layers import Masks, Noise
+from phongfit.maps.layers import Layers, Noise, mask_layers
 from phongfit.maps.pixel.lighting import Lighting, make_lighting
 from phongfit.maps.pixel.lobes import in_numbers, is_power
 from phongfit.maps.pixel.pixel import Known, Outside
@@ -107,7 +108,7 @@ class Job:
     unknowns: tuple[str, ...]
     settings: MapSettings
     outside: Outside
-    masks: Masks
+    masks: Layers
     noise: Noise
     geometry: Geometry
 
@@ -134,22 +135,11 @@ class Job:
 
     def identify(self) -> dict[str, str]:
         """Checksums of all inputs that determine the result, except the images."""
-        place = hashlib.blake2b(digest_size=16)
         geometry = self.geometry
-        for array in (geometry.normal, geometry.position, geometry.to_viewer):
-            place.update(np.ascontiguousarray(array).data.cast("B"))
-        if geometry.visibility is not None:
-            place.update(np.ascontiguousarray(geometry.visibility).data.cast("B"))
-        place.update(np.packbits(geometry.mask).tobytes())
-        self.masks.identify(place.update)
-        level = hashlib.blake2b(digest_size=16)
-        self.noise.identify(level.update)
-        return {
-            "settings": repr(self.settings),
-            "lights": identify_lights(self.outside),
-            "surface": place.hexdigest(),
-            "noise": level.hexdigest(),
-        }
+        place = [
+            getattr(geometry, field.name) for field in dataclasses.fields(geometry)
+        ]
+        return identify(self.settings, self.outside, place, self.masks, self.noise)
 
 
 def make_job(
@@ -169,7 +159,7 @@ def make_job(
     levels = Noise(noise, stack.shape)
     settings, outside = settle(scenes, levels, **options)
     unknowns = tuple(options.get("unknowns", MAP_PARAMETERS))
-    masks = Masks(mask, stack.shape)
+    masks = mask_layers(mask, stack.shape)
     geometry = resolve_geometry(scenes, outside.lighting)
     return Job(scenes, stack, unknowns, settings, outside, masks, levels, geometry)
 
@@ -193,21 +183,89 @@ def settle(
 
     **Raises:** `ValueError` that names the argument.
     """
-    settings = make_settings(
-        scenes,
-        unknowns,
-        per_channel,
-        bounds or {},
-        _as_one(film, noise),
-        loss,
-        start,
-        noise,
-        min_cosine,
-        normals,
-        materials,
+    sought = normals == "fit"
+    bounds = bounds or {}
+    names = _check_names(scenes, unknowns, per_channel, bounds, sought)
+    model = in_numbers(scenes[0].specular_model)
+    power, shaped = _lobe_of(model, jnp.result_type(float))
+    if "shininess" in names and not shaped:
+        raise ValueError(
+            f"unknowns: shininess shapes no highlight of this {type(model).__name__}, "
+            "whose own numbers are held in maps; leave it out"
+        )
+    if sought:
+        _check_sought(names, per_channel, min_cosine, scenes, power)
+    _check_materials(materials, names, sought, start)
+    common = _as_one(film, noise)
+    settings = MapSettings(
+        names=names,
+        bounds=tuple(_bound(name, bounds) for name in MAP_PARAMETERS),
+        shared="shininess" not in per_channel,
+        model=model,
+        power=power,
+        loss=as_loss(("cauchy" if sought else "linear") if loss is None else loss),
+        scanned=start is None,
+        min_cosine=float(min_cosine),
+        noise_given=noise.known,
+        weighted=noise.varies,
+        normals=normals,
+        one_specular=sought and "specular" in names and "specular" not in per_channel,
+        materials=materials,
+        cutoff=1.0 if common is None or common.clamp else float("inf"),
+        exactly=common is None,
     )
     check_enough(settings, len(scenes))
     return settings, make_outside(make_lighting(scenes), settings, known, start, noise)
+
+
+def _check_names(
+    scenes: tuple[Scene, ...],
+    unknowns: Sequence[str],
+    per_channel: Sequence[str],
+    bounds: Mapping[str, Any],
+    sought: bool,
+) -> tuple[str, ...]:
+    """Check names of parameters, and return those of the unknowns that are fitted.
+
+    **Raises:** `ValueError` that names the argument.
+    """
+    for argument, names in (
+        ("unknowns", unknowns),
+        ("per_channel", per_channel),
+        ("bounds", tuple(bounds)),
+    ):
+        for name in names:
+            if name not in MAP_PARAMETERS:
+                raise ValueError(
+                    f"{argument}: expected one of {', '.join(MAP_PARAMETERS)}, "
+                    f"got {name!r}"
+                )
+    # With fitted normals the channels may share ρ_s; then ρ_a may be absent, too.
+    excused = {"specular"} if sought else set()
+    if sought and not _has_ambient(scenes):
+        excused.add("ambient")
+    lacking = [
+        name
+        for name in ("ambient", "diffuse", "specular")
+        if name in unknowns and name not in per_channel and name not in excused
+    ]
+    if lacking:
+        raise ValueError(
+            "per_channel: expected every reflectance that is unknown, got none of "
+            f"{', '.join(lacking)}: a map has one for each channel, and only shininess "
+            "may be shared"
+        )
+    # Without ambient light ρ_a has no effect on the images and cannot be fitted.
+    names = tuple(
+        name
+        for name in MAP_PARAMETERS
+        if name in unknowns and (name != "ambient" or _has_ambient(scenes))
+    )
+    if not names:
+        raise ValueError("unknowns: expected at least one that light falls on")
+    if "shininess" in names and "specular" not in names:
+        raise ValueError("unknowns: expected specular with shininess, which shapes it")
+    return names
 
 
 def _as_one(film: Film | Sequence[Film] | None, noise: Noise) -> Film | None:
@@ -329,104 +387,12 @@ def _lobe_of(model: AbstractSpecular, dtype: Any) -> tuple[bool, bool]:
     return is_power(model), takes_exponent(model)
 
 
-def make_settings(
-    scenes: tuple[Scene, ...],
-    unknowns: Sequence[str],
-    per_channel: Sequence[str],
-    bounds: Mapping[str, tuple[float, float]],
-    film: Film | None,
-    loss: Any,
-    start: Any,
-    noise: Noise,
-    min_cosine: float,
-    normals: Literal["given", "fit"] = "given",
-    materials: int | Literal["auto"] | None = None,
-) -> MapSettings:
-    """Check the arguments of a pixel's fit and return its settings.
-
-    **Raises:** `ValueError` that names the argument.
-    """
-    for argument, names in (
-        ("unknowns", unknowns),
-        ("per_channel", per_channel),
-        ("bounds", tuple(bounds)),
-    ):
-        for name in names:
-            if name not in MAP_PARAMETERS:
-                raise ValueError(
-                    f"{argument}: expected one of {', '.join(MAP_PARAMETERS)}, "
-                    f"got {name!r}"
-                )
-    lacking = [
-        name
-        for name in ("ambient", "diffuse", "specular")
-        if name in unknowns and name not in per_channel
-    ]
-    sought = normals == "fit"
-    one_specular = sought and "specular" in lacking
-    if one_specular:
-        lacking.remove("specular")
-    if lacking and not (sought and lacking == ["ambient"] and not _has_ambient(scenes)):
-        raise ValueError(
-            "per_channel: expected every reflectance that is unknown, got none of "
-            f"{', '.join(lacking)}: a map has one for each channel, and only shininess "
-            "may be shared"
-        )
-    # Without ambient light ρ_a has no effect on the images and cannot be fitted.
-    names = tuple(
-        name
-        for name in MAP_PARAMETERS
-        if name in unknowns and (name != "ambient" or _has_ambient(scenes))
-    )
-    if not names:
-        raise ValueError("unknowns: expected at least one that light falls on")
-    if "shininess" in names and "specular" not in names:
-        raise ValueError("unknowns: expected specular with shininess, which shapes it")
-    model = in_numbers(scenes[0].specular_model)
-    power, shaped = _lobe_of(model, jnp.result_type(float))
-    if "shininess" in names and not shaped:
-        raise ValueError(
-            f"unknowns: shininess shapes no highlight of this {type(model).__name__}, "
-            "whose own numbers are held in maps; leave it out"
-        )
-    if sought:
-        _check_sought(names, per_channel, min_cosine)
-        if not all(light.directed for scene in scenes for light in scene.lights):
-            raise ValueError(
-                "scenes: expected lights with a direction where normals are sought, "
-                "got one from all around"
-            )
-        if not power:
-            raise ValueError(
-                "scenes: where normals are sought a lobe is expected that is a power "
-                "of one cosine, as that of Phong and BlinnPhong is, got "
-                f"{type(model).__name__}"
-            )
-    _check_materials(materials, names, sought, start)
-    cutoff, exactly = (1.0, True) if film is None else (1.0, False)
-    if film is not None and not film.clamp:
-        cutoff = float("inf")
-    return MapSettings(
-        names=names,
-        bounds=tuple(_bound(name, bounds) for name in MAP_PARAMETERS),
-        shared="shininess" not in per_channel,
-        model=model,
-        power=power,
-        loss=as_loss(("cauchy" if sought else "linear") if loss is None else loss),
-        scanned=start is None,
-        min_cosine=float(min_cosine),
-        noise_given=noise.known,
-        weighted=noise.varies,
-        normals=normals,
-        one_specular=one_specular,
-        materials=materials,
-        cutoff=cutoff,
-        exactly=exactly,
-    )
-
-
 def _check_sought(
-    names: Sequence[str], per_channel: Sequence[str], min_cosine: float
+    names: Sequence[str],
+    per_channel: Sequence[str],
+    min_cosine: float,
+    scenes: tuple[Scene, ...],
+    power: bool,
 ) -> None:
     """Check the options of a fit with unknown normals.
 
@@ -446,6 +412,17 @@ def _check_sought(
         raise ValueError(
             "min_cosine: expected 0 where normals are sought, since no light's cosine "
             f"is known yet, got {min_cosine:g}"
+        )
+    if not all(light.directed for scene in scenes for light in scene.lights):
+        raise ValueError(
+            "scenes: expected lights with a direction where normals are sought, got "
+            "one from all around"
+        )
+    if not power:
+        raise ValueError(
+            "scenes: where normals are sought a lobe is expected that is a power of "
+            "one cosine, as that of Phong and BlinnPhong is, got "
+            f"{type(scenes[0].specular_model).__name__}"
         )
 
 
@@ -587,12 +564,31 @@ def _three(name: str, leaf: Any) -> np.ndarray:
     return np.broadcast_to(values.ravel(), (3,)).copy()
 
 
-def identify_lights(outside: Outside) -> str:
-    """Checksum of the lights, the known parameters and the noise level."""
-    light = hashlib.blake2b(digest_size=16)
-    for leaf in jax.tree.leaves(outside):
-        light.update(np.ascontiguousarray(leaf).tobytes())
+def identify(
+    settings: MapSettings, outside: Outside, place: Any, masks: Layers, noise: Noise
+) -> dict[str, str]:
+    """Checksums of the inputs of a job, except the images.
+
+    **Arguments:** `place`: surface, camera and shadows, as arrays or objects.
+    """
     lighting = outside.lighting
     modes = [None if kind.fog is None else kind.fog.mode for kind in lighting.kinds]
-    light.update(repr((lighting.order, modes)).encode())
-    return light.hexdigest()
+    return {
+        "settings": repr(settings),
+        "lights": _checksum((outside, repr((lighting.order, modes)))),
+        "surface": _checksum(place, masks),
+        "noise": _checksum((), noise),
+    }
+
+
+def _checksum(tree: Any, layers: Layers | Noise | None = None) -> str:
+    """Checksum of a tree's arrays and structure, and of masks or noise."""
+    found = hashlib.blake2b(digest_size=16)
+    leaves, structure = jax.tree.flatten(tree)
+    for leaf in leaves:
+        found.update(np.ascontiguousarray(leaf).tobytes())
+    # Addresses of functions differ between processes.
+    found.update(re.sub(r" at 0x[0-9a-f]+", "", str(structure)).encode())
+    if layers is not None:
+        layers.identify(found.update)
+    return found.hexdigest()

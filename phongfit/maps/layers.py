@@ -14,7 +14,10 @@ from phongfit.maps.stacks import Update, gather
 
 
 class Layers:
-    """Numbers for every pixel: one array for all images, or one for each image."""
+    """Numbers for every pixel: one array for all images, or one for each image.
+
+    - `arrays`: as they were given.
+    """
 
     def __init__(self, name: str, given: Any, shape: tuple[int, int, int], dtype: Any):
         """**Arguments:**
@@ -53,16 +56,16 @@ class Layers:
                 )
             if np.dtype(dtype).kind == "b" and not np.isfinite(layer).all():
                 raise ValueError(f"{name}: expected true or false, got NaN or inf")
-        self._layers = layers
+        self.arrays = layers
         self._size = tuple(size)
         self._dtype = np.dtype(dtype)
 
     def __len__(self) -> int:
-        return len(self._layers)
+        return len(self.arrays)
 
     def __getitem__(self, k: int) -> Shaped[np.ndarray, "height width some_channels"]:
         """One layer as a whole."""
-        layer = self._layers[k].astype(self._dtype, copy=False)
+        layer = self.arrays[k].astype(self._dtype, copy=False)
         if layer.ndim < 3:
             layer = layer[..., None]
         return np.broadcast_to(layer, (*self._size, layer.shape[-1]))
@@ -77,45 +80,28 @@ class Layers:
         channels = max(row.shape[-1] for row in taken)
         return np.stack([np.broadcast_to(r, (len(pixels), channels)) for r in taken])
 
+    def anywhere(self) -> Bool[np.ndarray, "height width"]:
+        """Pixels where a sample of any image is true or not 0."""
+        seen = np.zeros(self._size, bool)
+        for k in range(len(self)):
+            seen |= self[k].any(axis=-1)
+        return seen
+
     def identify(self, update: Update) -> None:
         """Feed all numbers to a checksum."""
-        for layer in self._layers:
+        for layer in self.arrays:
             update(f"{self._dtype} {layer.shape}".encode())
             update(np.ascontiguousarray(layer.astype(self._dtype)).tobytes())
 
 
-class Masks:
-    """Masks of the samples that may be used."""
+def mask_layers(mask: Any, shape: tuple[int, int, int]) -> Layers:
+    """Masks of the samples that may be used.
 
-    def __init__(self, mask: Any, shape: tuple[int, int, int]):
-        """**Arguments:** `mask`: `None` for all, or as for [`Layers`][].
+    **Arguments:** `mask`: `None` for all, or as for [`Layers`][].
 
-        **Raises:** `ValueError` that names the mask.
-        """
-        self._layers = None if mask is None else Layers("mask", mask, shape, bool)
-        self._size = shape[1:]
-
-    def anywhere(self) -> Bool[np.ndarray, "height width"]:
-        """Pixels with at least one sample that may be used."""
-        if self._layers is None:
-            return np.ones(self._size, bool)
-        seen = np.zeros(self._size, bool)
-        for k in range(len(self._layers)):
-            seen |= self._layers[k].any(axis=-1)
-        return seen
-
-    def take(
-        self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
-    ) -> Bool[np.ndarray, "some_images n some_channels"]:
-        """Masks of some pixels: true for samples that may be used."""
-        if self._layers is None:
-            return np.ones((1, len(pixels), 1), bool)
-        return self._layers.take(pixels, order)
-
-    def identify(self, update: Update) -> None:
-        """Feed the masks to a checksum."""
-        if self._layers is not None:
-            self._layers.identify(update)
+    **Raises:** `ValueError` that names the mask.
+    """
+    return Layers("mask", [np.array(True)] if mask is None else mask, shape, bool)
 
 
 class Noise:
@@ -159,6 +145,13 @@ class Noise:
                     f"noise: expected a number > 0, from {low:g} to {high:g}, got "
                     f"{shown(noise)}"
                 )
+
+    @property
+    def arrays(self) -> list[np.ndarray] | float | None:
+        """The arrays or the number that were given; `None` if it is unknown."""
+        if self.varies:
+            return self._layers.arrays
+        return self.level if self.known else None
 
     def weigh(
         self,

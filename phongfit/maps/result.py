@@ -227,6 +227,10 @@ class Maps:
     strengths: Strengths | None = None
     matte: bool = False
 
+    def __getitem__(self, name: str) -> np.ndarray:
+        """An array over the pixels by its name in files, such as `stderr_diffuse`."""
+        return self.pixel_arrays()[name]
+
     @property
     def material(self) -> Material:
         """The maps as a [`Material`][], for [`render`][]; 0 outside."""
@@ -459,6 +463,27 @@ class Maps:
             arrays["noise_given"] = self.noise_given
         return arrays
 
+    def to_xarray(self) -> Any:
+        """An `xarray.Dataset` of the arrays over the pixels, by their names in files.
+
+        Dimensions are `y`, `x`, and `channel`, or `axis` of normals; one exponent for
+        all channels has no third dimension.
+
+        **Raises:** `ImportError` if xarray is not installed.
+        """
+        try:
+            import xarray  # pyright: ignore[reportMissingImports]
+        except ImportError as error:
+            raise ImportError(
+                "to_xarray: xarray is not installed: pip install xarray"
+            ) from error
+        variables = {}
+        for name, array in self.pixel_arrays().items():
+            array = array[..., 0] if array.shape[2:] == (1,) else array
+            last = "axis" if name == "normals" else "channel"
+            variables[name] = ("y", "x", last)[: array.ndim], array
+        return xarray.Dataset(variables)
+
     def counts(self) -> dict[str, int]:
         """Numbers of pixels that were fitted, are identified, and have each flag."""
         inside = ~self.flagged(Flag.OUTSIDE)
@@ -555,9 +580,48 @@ FAULTS = ("misplacement", "strength_error")
 
 PLAIN = ("noise", "samples", "flags", "normals", "normals_stderr", "depth")
 
+WEIGHTS = "weights"
+"""Name of the shared materials' probabilities in the arrays of a tile."""
+
 
 MAPS_VERSION = 2
 """Version of `maps.npz`. Files of version 1 lack the number, and may lack normals."""
+
+
+class Layer(NamedTuple):
+    """Type and values of an array over the pixels.
+
+    - `channels`: lengths of the axes after those of rows and columns.
+    - `outside`: value where no pixel is fitted.
+    - `least`: smallest value; `None` if values may also be NaN.
+    - `most`: largest value.
+    - `dtype`: a NumPy type; `"float"`: that of the fit.
+    """
+
+    channels: tuple[int, ...]
+    outside: float
+    least: float | None = None
+    most: float = np.inf
+    dtype: str = "float"
+
+
+def layers_of(exponents: int) -> dict[str, Layer]:
+    """The arrays over the pixels of all maps, by their names in files.
+
+    **Arguments:** `exponents`: channels of `shininess`, 1 or 3.
+    """
+    widths = {name: (3,) for name in MAP_PARAMETERS} | {"shininess": (exponents,)}
+    finite = float(np.finfo(np.float32).max)
+    return {
+        **{name: Layer(width, 0, 0, finite) for name, width in widths.items()},
+        **{f"stderr_{name}": Layer(w, np.inf, 0) for name, w in widths.items()},
+        "noise": Layer((), np.nan),
+        "samples": Layer((), 0, dtype="int32"),
+        "flags": Layer((), int(Flag.OUTSIDE), dtype="uint16"),
+        "normals": Layer((3,), 0, -np.inf),
+        "normals_stderr": Layer((), np.inf, 0),
+        "depth": Layer((), np.nan),
+    }
 
 
 class ViewRecord(AbstractRecord):
@@ -608,54 +672,72 @@ def checked_maps(arrays: dict[str, np.ndarray]) -> Maps:
     exponents = arrays["shininess"].shape[-1:]
     if exponents not in ((1,), (3,)):
         raise ValueError(f"shininess: expected 1 or 3 channels, got {exponents}")
-    channels = dict.fromkeys(MAP_PARAMETERS, (3,)) | {"shininess": exponents}
-    wanted = {"noise": (size, "f"), "samples": (size, "iu"), "flags": (size, "iu")}
-    for name, last in channels.items():
-        wanted |= {name: ((*size, *last), "f"), f"stderr_{name}": ((*size, *last), "f")}
-    for name, (shape, kinds) in wanted.items():
-        array = arrays[name]
-        if array.shape != shape or array.dtype.kind not in kinds:
-            kind = "floats" if kinds == "f" else "whole numbers"
-            raise ValueError(
-                f"{name}: expected {kind} of shape {shape}, got {array.dtype} of shape "
-                f"{array.shape}"
-            )
-    for name in MAP_PARAMETERS:
-        if not np.all(np.isfinite(arrays[name]) & (arrays[name] >= 0)):
-            raise ValueError(f"{name}: expected finite numbers ≥ 0")
-        # The comparison is false for NaN as well.
-        if not np.all(arrays[f"stderr_{name}"] >= 0):
-            raise ValueError(f"stderr_{name}: expected numbers ≥ 0")
+    layers = layers_of(exponents[0])
+    if "normals" not in arrays:
+        # Files of version 1 may have neither normals nor a view.
+        lacking = ("normals", "normals_stderr", "depth")
+        arrays = arrays | {
+            name: np.full((*size, *layers[name].channels), layers[name].outside, float)
+            for name in lacking
+        }
+        arrays["view"] = np.array("{}")
+    maps: dict[str, Any] = {
+        name: _taken(arrays, name, (*size, *layer.channels), layer)
+        for name, layer in layers.items()
+    }
+    length = np.linalg.norm(maps["normals"], axis=-1)
+    if not np.all((length == 0) | (abs(length - 1) < 1e-3)):
+        raise ValueError("normals: expected unit vectors, and 0 outside")
     given: Any = arrays["noise_given"]
-    if given.shape not in ((), size) or given.dtype.kind != "f":
-        raise ValueError(
-            f"noise_given: expected floats of shape () or {size}, got {given.dtype} of "
-            f"shape {given.shape}"
-        )
+    given = _taken(arrays, "noise_given", size if given.ndim else ())
     if given.ndim == 0:
         given = None if np.isnan(given) else float(given)
     # Files of phongfit before 0.2 do not have these arrays.
-    faults = {name: arrays.get(name, np.array(0.0)) for name in FAULTS}
-    for name, size_of_fault in faults.items():
-        if size_of_fault.shape != () or not size_of_fault >= 0:
-            raise ValueError(f"{name}: expected a number ≥ 0, got {size_of_fault}")
-    shape = _checked_shape(arrays, size)
-    maps: Any = {name: arrays[name] for name in MAP_PARAMETERS}
-    stderr: Any = {name: arrays[f"stderr_{name}"] for name in MAP_PARAMETERS}
+    old = dict.fromkeys(FAULTS, np.array(0.0)) | arrays
+    errors = {name: maps.pop(f"stderr_{name}") for name in MAP_PARAMETERS}
     return Maps(
         **maps,
-        stderr=ParameterMaps(**stderr),
-        noise=arrays["noise"],
-        samples=arrays["samples"],
-        flags=arrays["flags"],
+        stderr=ParameterMaps(**errors),
         unknowns=tuple(unknowns.tolist()),
         noise_given=given,
         materials=_checked_materials(arrays, size),
-        **{name: float(fault) for name, fault in faults.items()},
+        **{name: float(_taken(old, name, (), NOT_NEGATIVE)) for name in FAULTS},
         strengths=_checked_strengths(arrays),
         matte=bool(np.all(arrays.get("matte", False))),
-        **shape,
+        **_checked_view(arrays, size),
     )
+
+
+ANY, NOT_NEGATIVE = Layer((), 0), Layer((), 0, 0)
+
+
+def _taken(
+    arrays: Mapping[str, np.ndarray],
+    name: str,
+    shape: tuple[int, ...],
+    layer: Layer = ANY,
+) -> np.ndarray:
+    """An array of a file, after checks of its shape, type and values.
+
+    **Raises:** as [`checked_maps`][].
+    """
+    array = arrays[name]
+    kinds, words = (
+        ("f", "floats") if layer.dtype == "float" else ("iu", "whole numbers")
+    )
+    if array.shape != shape or array.dtype.kind not in kinds:
+        raise ValueError(
+            f"{name}: expected {words} of shape {shape}, got {array.dtype} of shape "
+            f"{array.shape}"
+        )
+    # The comparison is false for NaN as well.
+    if layer.least is not None and not np.all(
+        (array >= layer.least) & (array <= layer.most)
+    ):
+        words = "numbers" if np.isinf(layer.most) else "finite numbers"
+        words = words if shape else "a number"
+        raise ValueError(f"{name}: expected {words} ≥ {layer.least:g}")
+    return array
 
 
 def _checked_strengths(arrays: dict[str, np.ndarray]) -> Strengths | None:
@@ -665,15 +747,13 @@ def _checked_strengths(arrays: dict[str, np.ndarray]) -> Strengths | None:
     """
     if "strengths" not in arrays:
         return None
-    values = arrays["strengths"]
-    stderr = arrays.get("stderr_strengths", np.zeros(0))
-    for name, array in (("strengths", values), ("stderr_strengths", stderr)):
-        right = array.shape == values.shape and values.shape[1:] in ((), (3,))
-        if not right or not np.all(array > 0):
-            raise ValueError(
-                f"{name}: expected numbers > 0, one an image or one a channel of it"
-            )
-    return Strengths(values, stderr)
+    shape = arrays["strengths"].shape
+    if shape[1:] not in ((), (3,)):
+        raise ValueError("strengths: expected one an image, or one a channel of it")
+    positive = NOT_NEGATIVE._replace(least=float(np.finfo(np.float32).tiny))
+    return Strengths(
+        *(_taken(arrays, n, shape, positive) for n in ("strengths", "stderr_strengths"))
+    )
 
 
 def _checked_materials(
@@ -688,77 +768,46 @@ def _checked_materials(
     count = arrays["materials_weights"].shape[-1:]
     if not 1 <= count[0] <= MOST_MATERIALS:
         raise ValueError(f"materials_weights: expected 1 to {MOST_MATERIALS} materials")
-    tried = arrays["materials_criterion"].shape[:1]
     # Files of phongfit before 0.2 do not have this array.
     at_bound = arrays.get("materials_at_bound", np.zeros(count, bool))
     if at_bound.shape != count or at_bound.dtype != bool:
         raise ValueError(f"materials_at_bound: expected {count[0]} truth values")
-    fields: dict[str, Any] = {}
-    for name, wanted in (
-        ("specular", (*count, 3)),
-        ("shininess", count),
-        ("stderr_specular", (*count, 3)),
-        ("stderr_shininess", count),
-        ("weights", (*size, *count)),
-        ("criterion", tried),
-    ):
-        array = fields[name] = arrays[f"materials_{name}"]
-        if array.shape != wanted or array.dtype.kind != "f" or 0 in wanted:
-            raise ValueError(
-                f"materials_{name}: expected floats of shape {wanted}, got "
-                f"{array.dtype} of shape {array.shape}"
-            )
-        # Errors may be infinite. NaN is an error, and so is < 0 for all but BIC.
-        if not np.all(array >= (-np.inf if name == "criterion" else 0)):
-            raise ValueError(f"materials_{name}: expected numbers ≥ 0")
-    if not np.all(fields["weights"] <= 1 + 1e-3):
-        raise ValueError("materials_weights: expected numbers up to 1")
-    sample = arrays["materials_sample"]
-    if sample.shape != () or sample.dtype.kind not in "iu" or sample < 1:
-        raise ValueError("materials_sample: expected a whole number ≥ 1")
-    return BasisMaterials(**fields, at_bound=at_bound, sample=int(sample))
+    tried = arrays["materials_criterion"].shape
+    if len(tried) != 1 or not tried[0]:
+        raise ValueError("materials_criterion: expected one number for each fit")
+    fields: dict[str, Any] = {
+        name: _taken(arrays, f"materials_{name}", shape, layer)
+        for name, shape, layer in (
+            ("specular", (*count, 3), NOT_NEGATIVE),
+            ("shininess", count, NOT_NEGATIVE),
+            ("stderr_specular", (*count, 3), NOT_NEGATIVE),
+            ("stderr_shininess", count, NOT_NEGATIVE),
+            ("weights", (*size, *count), NOT_NEGATIVE._replace(most=1 + 1e-3)),
+            ("criterion", tried, Layer((), 0, -np.inf)),
+            ("sample", (), Layer((), 0, 1, dtype="int64")),
+        )
+    }
+    fields["sample"] = int(fields["sample"])
+    return BasisMaterials(**fields, at_bound=at_bound)
 
 
-def _checked_shape(
+def _checked_view(
     arrays: dict[str, np.ndarray], size: tuple[int, ...]
 ) -> dict[str, Any]:
-    """Check and return normals, depth and view, which files of version 1 may lack.
+    """Check and return camera, specular model and ambient light.
 
     **Raises:** as [`checked_maps`][].
     """
-    if "normals" not in arrays:
-        return {
-            "normals": np.zeros((*size, 3)),
-            "normals_stderr": np.full(size, np.inf),
-            "depth": np.full(size, np.nan),
-        }
-    shape: dict[str, Any] = {}
-    for name, wanted in (
-        ("normals", (*size, 3)),
-        ("normals_stderr", size),
-        ("depth", size),
-    ):
-        array = shape[name] = arrays[name]
-        if array.shape != wanted or array.dtype.kind != "f":
-            raise ValueError(
-                f"{name}: expected floats of shape {wanted}, got {array.dtype} of "
-                f"shape {array.shape}"
-            )
-    length = np.linalg.norm(shape["normals"], axis=-1)
-    if not np.all((length == 0) | (abs(length - 1) < 1e-3)):
-        raise ValueError("normals: expected unit vectors, and 0 outside")
-    if not np.all(shape["normals_stderr"] >= 0):
-        raise ValueError("normals_stderr: expected numbers ≥ 0")
     with naming("view"):
         view = parse_record(str(arrays["view"]), ViewRecord)
+    found: dict[str, Any] = {"ambient_light": view.ambient_light}
     for name in ("camera", "specular_model"):
         record = getattr(view, name)
-        shape[name] = None if record is None else record.build()
-    shape["ambient_light"] = view.ambient_light
-    camera = shape["camera"]
+        found[name] = None if record is None else record.build()
+    camera = found["camera"]
     if camera is not None and (camera.height, camera.width) != size:
         raise ValueError(
             f"camera: expected {size} pixels, as the maps have, got "
             f"{(camera.height, camera.width)}"
         )
-    return shape
+    return found

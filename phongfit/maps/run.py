@@ -23,22 +23,31 @@ from phongfit.edge import checked, shown
 from phongfit.fitting.problem.losses import AbstractLoss
 from phongfit.maps.ahead import ahead
 from phongfit.maps.job import Fitted, Job, check_scenes, make_job
-from phongfit.maps.materials.bases import Bases, held
+from phongfit.maps.materials.bases import held
 from phongfit.maps.materials.block import Given, fit_shared
 from phongfit.maps.materials.finding import Materials, choose_sample, find_materials
 from phongfit.maps.normals.block import fit_normals
 from phongfit.maps.passes import fit_in_passes, usual_passes
-from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.pixel.samples import Tile
-from phongfit.maps.pixel.settings import MAP_PARAMETERS, MapSettings
+from phongfit.maps.pixel.settings import MAP_PARAMETERS
 from phongfit.maps.pixel.tile import BLOCK, compiled, fit_tile
-from phongfit.maps.result import BasisMaterials, Maps, ParameterMaps, StrengthsName
+from phongfit.maps.result import (
+    WEIGHTS,
+    BasisMaterials,
+    Layer,
+    Maps,
+    ParameterMaps,
+    StrengthsName,
+    layers_of,
+)
 from phongfit.maps.stacks import AbstractStack, as_index, as_stack, identify_stack
-from phongfit.maps.store import TileStore, tile_store
+from phongfit.maps.store import BlockStore, alone_at, open_store
 from phongfit.maps.strengths import find_strengths, may_be_equal, strength_error
 from phongfit.material import Material
 from phongfit.rendering.film import Film
 from phongfit.scene import Scene
+
+TILES_FORMAT = "phongfit tiles"
 
 TILE_BYTES = 2**26
 """Maximum bytes of light in a tile by default: a few tiles fit into any memory.
@@ -152,8 +161,9 @@ def fit_maps(
     - `tile_pixels`: pixels of a tile; default: as many as hold 16 MB of light per core,
         at most 64 MB.
     - `devices`: devices that work on the tiles; default: all local ones.
-    - `output`: a folder that keeps finished tiles. An interrupted run continues from
-        there, with bit-identical results. It must be empty, or of the same job.
+    - `output`: a folder that keeps finished tiles, as a zarr group. An interrupted run
+        continues from there, with bit-identical results. It must be empty, or of the
+        same job.
     - `progress`: show a bar on a terminal, or occasional lines elsewhere.
 
     **Returns:** [`Maps`][]. A pixel that does not identify an unknown has infinite
@@ -189,35 +199,28 @@ def fit_maps(
             f"strengths: expected 'given' where normals are given, got {strengths!r}; "
             "fit finds exposures of images under given normals"
         )
-    if normals == "fit":
-        scenes = check_scenes(scenes)
-        passes = usual_passes(scenes) if passes is None else passes
-        if strengths != "given":
-            asked["bounds"] = {"diffuse": (0.0, np.inf)} | dict(bounds or {})
-        spread = {"tile_pixels": tile_pixels, "devices": devices}
+    spread = {"tile_pixels": tile_pixels, "devices": devices}
+    if normals == "given":
         once = functools.partial(_fit_once, **asked, **spread)
-        found, error = None, 0.0
-        if strengths != "given":
-            job = make_job(scenes, stack, **asked)
-            coloured = strengths == "fit_per_channel"
-            found = find_strengths(once, job, per_channel=coloured)
-            if strengths == "auto" and may_be_equal(found):
-                found = None
-            else:
-                scenes = found.lit(scenes)
-        maps, placed = fit_in_passes(once, scenes, stack, passes, output, progress)
-        if strengths == "given":
-            error = strength_error(maps, placed, make_job(scenes, stack, **asked))
-        return dataclasses.replace(maps, strengths=found, strength_error=error)
-    return _fit_once(
-        scenes,
-        stack,
-        tile_pixels=tile_pixels,
-        devices=devices,
-        output=output,
-        progress=progress,
-        **asked,
-    )
+        return once(scenes, stack, output=output, progress=progress)
+    scenes = check_scenes(scenes)
+    passes = usual_passes(scenes) if passes is None else passes
+    if strengths != "given":
+        asked["bounds"] = {"diffuse": (0.0, np.inf)} | dict(bounds or {})
+    once = functools.partial(_fit_once, **asked, **spread)
+    found, error = None, 0.0
+    if strengths != "given":
+        job = make_job(scenes, stack, **asked)
+        coloured = strengths == "fit_per_channel"
+        found = find_strengths(once, job, per_channel=coloured)
+        if strengths == "auto" and may_be_equal(found):
+            found = None
+        else:
+            scenes = found.lit(scenes)
+    maps, placed = fit_in_passes(once, scenes, stack, passes, output, progress)
+    if strengths == "given":
+        error = strength_error(maps, placed, make_job(scenes, stack, **asked))
+    return dataclasses.replace(maps, strengths=found, strength_error=error)
 
 
 def _fit_once(
@@ -244,7 +247,9 @@ def _fit_once(
         "tile": f"{size} pixels on {mesh.size} devices",
         "versions": versions(),
     }
-    with tile_store(output, identity) as store:
+    with alone_at(output) as place:
+        group = open_store(place, {"format": TILES_FORMAT, "job": identity})
+        store = BlockStore(group, identity, (len(job.pixels),), (size,))
         return fit_job(job, mesh, size, part, side_by_side(mesh), store, progress)
 
 
@@ -254,7 +259,7 @@ def fit_job(
     size: int,
     part: int,
     threads: int,
-    store: TileStore | None = None,
+    store: BlockStore | None = None,
     progress: bool = False,
 ) -> Maps:
     """Fit the maps of a job, tile by tile.
@@ -269,16 +274,12 @@ def fit_job(
     settings, outside, pixels = job.settings, job.outside, job.pixels
     tiles = [pixels[k : k + size] for k in range(0, len(pixels), size)]
 
-    def read(tile: int) -> Tile | dict[str, np.ndarray]:
-        done = None if store is None else store.load(tile)
-        return job.tile(tiles[tile], size) if done is None else done
-
     kind = "given" if settings.normals == "given" else "sought"
     with concurrent.futures.ThreadPoolExecutor(threads) as workers:
         shared, among, matte = None, outside, False
         if settings.materials is not None:
             kind = "shared"
-            shared = _materials(job, workers, store, len(tiles))
+            shared = _materials(job, workers)
             matte = not len(shared.bases.shares)
             among = Given(outside, shared.bases)
         if matte:
@@ -289,8 +290,14 @@ def fit_job(
         def work(part: Tile) -> dict[str, np.ndarray]:
             return jax.tree.map(np.asarray, run(part.padded(), among))
 
-        maps = _Canvas(job.geometry.mask.shape, shared)
-        maps.paint(pixels[:0], _no_pixels(settings, outside.noise.dtype))
+        maps = _Canvas(job, shared)
+        if store is not None:
+            store.make(maps.layers, outside.noise.dtype)
+
+        def read(tile: int) -> Tile | dict[str, np.ndarray]:
+            done = None if store is None else store.load(tile, maps.layers)
+            return job.tile(tiles[tile], size) if done is None else done
+
         for k, tile in bar(ahead(read, len(tiles)), len(tiles), progress):
             if isinstance(tile, dict):
                 arrays = tile
@@ -316,31 +323,12 @@ def _without_highlights(job: Job) -> Job:
     )
 
 
-def _materials(
-    job: Job,
-    workers: concurrent.futures.Executor,
-    store: TileStore | None,
-    place: int,
-) -> Materials:
-    """The shared materials, which the store keeps after the last tile.
-
-    **Arguments:** `place`: their number in the store.
-    """
-    done = None if store is None else store.load(place)
-    if done is None:
-        sample = choose_sample(job.pixels, len(job.scenes))
-        size = -(-len(sample) // BLOCK) * BLOCK
-        tile = job.tile(sample, size).padded()
-        found = find_materials(tile, len(sample), job.outside, job.settings, workers)
-        done = jax.tree.map(
-            np.asarray,
-            found.bases._asdict()
-            | {"criterion": found.criterion, "sample": found.sample},
-        )
-        if store is not None:
-            store.save(place, done)
-    criterion, sample = done.pop("criterion"), done.pop("sample")
-    return Materials(Bases(**jax.tree.map(jnp.asarray, done)), criterion, sample)
+def _materials(job: Job, workers: concurrent.futures.Executor) -> Materials:
+    """The shared materials, the same for equal jobs."""
+    sample = choose_sample(job.pixels, len(job.scenes))
+    size = -(-len(sample) // BLOCK) * BLOCK
+    tile = job.tile(sample, size).padded()
+    return find_materials(tile, len(sample), job.outside, job.settings, workers)
 
 
 def as_mesh(devices: Sequence[Any] | None) -> Mesh:
@@ -423,43 +411,32 @@ def _lines(
 
 _FITS = {"given": fit_tile, "sought": fit_normals, "shared": fit_shared}
 
-_EMPTY = {"noise": np.nan, "normals_stderr": np.inf, "flags": int(Flag.OUTSIDE)}
-"""Values of pixels that are not fitted; errors are infinite, other values 0."""
-
-
-def _no_pixels(settings: MapSettings, dtype: Any) -> dict[str, np.ndarray]:
-    """The arrays of a tile without pixels."""
-    widths = dict.fromkeys(MAP_PARAMETERS, 3)
-    widths["shininess"] = 1 if settings.shared else 3
-    arrays: dict[str, Any] = {
-        name: np.zeros((0, width), dtype) for name, width in widths.items()
-    }
-    arrays |= {f"stderr_{name}": values for name, values in arrays.items()}
-    arrays["noise"] = np.zeros(0, dtype)
-    arrays["samples"], arrays["flags"] = np.zeros(0, np.int32), np.zeros(0, np.uint16)
-    if settings.normals == "fit":
-        arrays["normals"] = np.zeros((0, 3), dtype)
-        arrays["normals_stderr"] = np.zeros(0, dtype)
-    return arrays
-
 
 class _Canvas:
     """Maps that are assembled from tiles."""
 
-    def __init__(self, size: tuple[int, int], shared: Materials | None):
-        self._size, self._shared = size, shared
-        self._arrays: dict[str, np.ndarray] = {}
+    def __init__(self, job: Job, shared: Materials | None):
+        self._size, self._shared = job.geometry.mask.shape, shared
+        layers = self.layers = layers_of(1 if job.settings.shared else 3)
+        given = ("depth", "normals", "normals_stderr")
+        for name in given[: 1 if job.settings.normals == "fit" else 3]:
+            layers.pop(name)
+        if shared is not None:
+            layers[WEIGHTS] = Layer((len(shared.bases.shares),), 0)
+        floats = job.outside.noise.dtype
+        self._arrays = {
+            name: np.full(
+                (math.prod(self._size), *layer.channels),
+                layer.outside,
+                floats if layer.dtype == "float" else layer.dtype,
+            )
+            for name, layer in layers.items()
+        }
 
     def paint(self, pixels: np.ndarray, tile: dict[str, np.ndarray]) -> None:
         """Write the arrays of a tile at its pixels."""
         place = as_index(pixels)
         for name, values in tile.items():
-            if name not in self._arrays:
-                empty = np.inf if name.startswith("stderr_") else _EMPTY.get(name, 0)
-                # Flags have 16 bits in files.
-                dtype = np.uint16 if name == "flags" else values.dtype
-                shape = math.prod(self._size), *values.shape[1:]
-                self._arrays[name] = np.full(shape, empty, dtype)
             self._arrays[name][place] = values
 
     def finished(self, job: Job) -> Maps:
@@ -480,7 +457,7 @@ class _Canvas:
             maps["noise"] = maps["noise"] * given
         normals, depth = job.geometry.seen(scene, self._arrays.get("normals"))
         known = np.where(job.geometry.mask, 0, np.inf).astype(normals.dtype)
-        weights = maps.pop("weights", None)
+        weights = maps.pop(WEIGHTS, None)
         maps.setdefault("normals_stderr", known)
         maps.pop("normals", None)
         return Maps(

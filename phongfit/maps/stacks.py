@@ -341,8 +341,8 @@ class ZarrStack(AbstractCodedStack):
             `images`.
         - `encoding`: default the attribute `encoding` of the array, else `"linear"`.
 
-        **Raises:** `ValueError` that names the store and its fault, or if zarr is not
-        installed: `pip install 'phongfit[cluster]'`.
+        **Raises:** `ValueError` that names the store and its fault, or for an object
+        store without fsspec: `pip install 'phongfit[cluster]'`.
         """
         self.array = find_images(path)
         told = attributes(self.array).get("encoding", "linear")
@@ -364,11 +364,14 @@ class ZarrStack(AbstractCodedStack):
         self, window: Window, size: tuple[int, int]
     ) -> Float[np.ndarray, "images height width 3"]:
         """Linear light of rows and columns of all images, padded to `size` with 0."""
-        return self.read_coded(window, size).light
+        light = self.read_coded(window).light
+        padded = np.zeros((len(light), *size, 3), light.dtype)
+        padded[:, : light.shape[1], : light.shape[2]] = light
+        return padded
 
-    def read_coded(self, window: Window, size: tuple[int, int]) -> Coded:
-        """Rows and columns of all images as stored, padded to `size` with 0."""
-        numbers = read_window(self.array, window, size, first=1)
+    def read_coded(self, window: Window) -> Coded:
+        """Rows and columns of all images as stored."""
+        numbers = read_window(self.array, (slice(None), *window))
         if numbers.dtype.kind == "f":
             light = numbers.astype(_float_type(), copy=False)
             if not np.isfinite(light).all():
@@ -379,8 +382,7 @@ class ZarrStack(AbstractCodedStack):
     def take_coded(self, pixels: Int[np.ndarray, " n"], order: Sequence[int]) -> Coded:
         width = self.array.shape[2]
         first, last = int(pixels[0]) // width, int(pixels[-1]) // width + 1
-        window, size = (slice(first, last), slice(0, width)), (last - first, width)
-        rows = RectangleStack(self.read_coded(window, size))
+        rows = RectangleStack(self.read_coded((slice(first, last), slice(width))))
         return rows.take_coded(pixels - first * width, order)
 
     @property
@@ -406,26 +408,17 @@ def identify_stack(stack: AbstractStack) -> str:
     return checksum.hexdigest()
 
 
-def read_rectangle(
-    stack: AbstractStack, window: Window, size: tuple[int, int]
-) -> Coded:
-    """Rows and columns of all images, padded to `size` with 0: (L, H, W, 3)."""
+def read_rectangle(stack: AbstractStack, window: Window) -> Coded:
+    """Rows and columns of all images: (L, H, W, 3)."""
     if isinstance(stack, ZarrStack):
-        return stack.read_coded(window, size)
-    rows, columns = (range(side.start, side.stop) for side in window)
-    count, _, width = stack.shape
-    pixels = np.add.outer(width * np.array(rows), np.array(columns))
+        return stack.read_coded(window)
+    count, height, width = stack.shape
+    rows, columns = (
+        np.arange(n)[w] for n, w in zip((height, width), window, strict=True)
+    )
+    pixels = np.add.outer(width * rows, columns)
     numbers, table = stack.take_coded(pixels.ravel(), range(count))
-    numbers = numbers.reshape(count, *pixels.shape, 3)
-    if pixels.shape == size:
-        return Coded(numbers, table)
-    down, along = np.subtract(size, pixels.shape).tolist()
-    around = (0, 0), (0, down), (0, along), (0, 0)
-    padded = np.pad(np.ma.getdata(numbers), around)
-    if np.ma.is_masked(numbers):
-        mask = np.pad(np.ma.getmaskarray(numbers), around)
-        padded = np.ma.MaskedArray(padded, mask)
-    return Coded(padded, table)
+    return Coded(numbers.reshape(count, *pixels.shape, 3), table)
 
 
 def gather(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:

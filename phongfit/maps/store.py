@@ -1,106 +1,208 @@
-"""Store of finished tiles on disk, which are complete and of one job."""
+"""Stores of maps: zarr groups that are written block by block, with a ledger.
+
+A block is one chunk of every array. The ledger has a checksum of each finished block,
+written after its arrays; a block whose arrays match it is not computed again.
+"""
 
 import contextlib
 import hashlib
 import json
 import os
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from phongfit.files.arrays import unpack
-from phongfit.files.inputs import naming, read_bytes, read_text
-from phongfit.files.outputs import alone_in, replacing, write_json
-from phongfit.files.strict_json import parse_json
+from phongfit.files.outputs import WORK, alone_in
+from phongfit.files.zarrs import (
+    Window,
+    address,
+    attributes,
+    holds,
+    is_remote,
+    make_array,
+    open_group,
+    read_window,
+    writable,
+    write_attributes,
+    write_window,
+)
+from phongfit.maps.pixel.settings import MAP_PARAMETERS
+from phongfit.maps.result import PLAIN, WEIGHTS, Layer
 
-MANIFEST = "maps.json"
-CHECK = "check"
+if TYPE_CHECKING:
+    from phongfit.files.zarrs import Group
+
+LEDGER, GIVEN, PLAN = "ledger", "given", "plan"
+"""Names in a store: checksums of blocks, input arrays, and the plan."""
+
+OWN = {
+    *MAP_PARAMETERS,
+    *(f"stderr_{name}" for name in MAP_PARAMETERS),
+    *(*PLAIN, "noise_given", WEIGHTS, LEDGER, GIVEN, PLAN, WORK, "zarr.json"),
+}
+"""Names of the files and folders that a run writes into a store on a disk."""
+
+OTHERS = re.compile(r"pass_\d+|zarr\.[0-9a-f]+\.partial")
+"""Names of the stores of later passes, and of a file that a killed run was writing."""
+
+DIGEST = 16
+"""Bytes of a checksum."""
 
 
-class TileStore:
-    """A folder with the finished tiles of a job."""
+@dataclass(frozen=True)
+class BlockStore:
+    """Arrays over pixels in a zarr group, read and written block by block.
 
-    def __init__(self, folder: str | os.PathLike[str], job: dict[str, Any]):
-        """**Arguments:**
+    - `group`: see [`open_store`][].
+    - `job`: checksums and settings that identify the job.
+    - `size`: of the arrays, as rows and columns, or as a number of pixels.
+    - `block`: size of a block.
+    """
 
-        - `folder`: an existing folder.
-        - `job`: checksums and settings that identify the job: plain numbers and text.
+    group: "Group"
+    job: Mapping[str, str]
+    size: tuple[int, ...]
+    block: tuple[int, ...]
 
-        **Raises:** `ValueError` if the folder holds tiles of another job, or other
-        files; `OSError` that names it.
-        """
-        self._folder = Path(folder)
-        self._job = json.dumps(job, sort_keys=True)
-        manifest = self._folder / MANIFEST
-        if manifest.exists():
-            _check(manifest, job)
-        elif any(not name.name.startswith(".") for name in self._folder.iterdir()):
-            raise ValueError(
-                f"output: expected an empty folder, got {self._folder}, which holds "
-                "other files"
-            )
-        else:
-            write_json(manifest, job)
+    @property
+    def grid(self) -> tuple[int, ...]:
+        """Number of blocks along each axis."""
+        sides = zip(self.size, self.block, strict=True)
+        return tuple(-(-side // step) for side, step in sides)
 
-    def _path(self, tile: int) -> Path:
-        return self._folder / f"tile_{tile:06d}.npz"
+    def window(self, number: int) -> Window:
+        """The part of the arrays in a block."""
+        first = np.multiply(np.unravel_index(number, self.grid), self.block)
+        last = np.minimum(first + self.block, self.size)
+        return tuple(map(slice, first.tolist(), last.tolist()))
 
-    def load(self, tile: int) -> dict[str, np.ndarray] | None:
-        """The arrays of a tile, or `None` if it is not finished or not readable."""
+    def make(self, layers: Mapping[str, Layer], floats: Any) -> None:
+        """Make the arrays that the group lacks, or has in another shape or type."""
+        for name, layer in layers.items():
+            shape, chunks = ((*n, *layer.channels) for n in (self.size, self.block))
+            dtype = floats if layer.dtype == "float" else layer.dtype
+            if not holds(self.group, name, shape, dtype, chunks):
+                make_array(self.group, name, shape, dtype, chunks, layer.outside)
+        shape, chunks = (*self.grid, DIGEST), (*(1 for _ in self.grid), DIGEST)
+        if not holds(self.group, LEDGER, shape, "uint8", chunks):
+            # Uncompressed, so that a truncated chunk raises an error when it is read.
+            make_array(self.group, LEDGER, shape, "uint8", chunks, compressed=False)
+
+    def load(self, number: int, names: Iterable[str]) -> dict[str, np.ndarray] | None:
+        """The arrays of a block, or `None` if it is not finished or is damaged."""
+        window = self.window(number)
         try:
-            arrays = unpack(read_bytes(self._path(tile)))
-            check = arrays.pop(CHECK).tobytes()
-            return arrays if check == self._checksum(tile, arrays) else None
-        except Exception:
-            # The file is missing or damaged: the tile is fitted again.
+            noted = read_window(writable(self.group, LEDGER), self._entry(number))
+            if not noted.any():
+                return None
+            arrays = {
+                name: read_window(writable(self.group, name), window) for name in names
+            }
+        except ValueError:
             return None
+        return arrays if self._checksum(number, arrays) == noted.tobytes() else None
 
-    def save(self, tile: int, arrays: dict[str, np.ndarray]) -> None:
-        """Keep the arrays of a finished tile."""
-        check = np.frombuffer(self._checksum(tile, arrays), np.uint8)
-        with replacing(self._path(tile)) as temporary:
-            np.savez(temporary, allow_pickle=False, **arrays, **{CHECK: check})
+    def save(self, number: int, arrays: Mapping[str, np.ndarray]) -> None:
+        """Write the arrays of a finished block, then its checksum.
 
-    def _checksum(self, tile: int, arrays: dict[str, np.ndarray]) -> bytes:
-        """Checksum of the job, the tile's number and its arrays."""
-        found = hashlib.blake2b(f"{self._job} {tile}".encode(), digest_size=16)
+        **Raises:** `OSError` that names the store.
+        """
+        kept = {name: writable(self.group, name) for name in arrays}
+        # Checksums are of what is read again: flags of a tile may have more bits.
+        arrays = {
+            name: arrays[name].astype(array.dtype, copy=False)
+            for name, array in kept.items()
+        }
+        for name, array in kept.items():
+            write_window(array, self.window(number), arrays[name])
+        digest = np.frombuffer(self._checksum(number, arrays), np.uint8)
+        entry = digest.reshape(*(1 for _ in self.grid), DIGEST)
+        write_window(writable(self.group, LEDGER), self._entry(number), entry)
+
+    def _entry(self, number: int) -> Window:
+        return tuple(slice(k, k + 1) for k in np.unravel_index(number, self.grid))
+
+    def _checksum(self, number: int, arrays: Mapping[str, np.ndarray]) -> bytes:
+        """Checksum of the job, the block's number and its arrays."""
+        job = json.dumps(dict(self.job), sort_keys=True)
+        # SHA-256 is fast, since processors have instructions for it.
+        found = hashlib.sha256(f"{job} {number}".encode())
         for name in sorted(arrays):
             array = arrays[name]
             found.update(f"{name} {array.dtype.str} {array.shape}".encode())
-            found.update(np.ascontiguousarray(array).tobytes())
-        return found.digest()
+            found.update(np.ascontiguousarray(array).data.cast("B"))
+        return found.digest()[:DIGEST]
 
 
 @contextlib.contextmanager
-def tile_store(
-    folder: str | os.PathLike[str], job: dict[str, Any]
-) -> Iterator[TileStore]:
-    """A [`TileStore`][] that is locked for this run; its folder is made if missing.
+def alone_at(
+    output: str | os.PathLike[str], images: str | None = None
+) -> Iterator[str]:
+    """The address of an output, into which no other run writes meanwhile.
 
-    **Raises:** as [`TileStore`][]; `OSError` if another run writes there.
+    A folder on a disk is made if it is missing. Object stores have no locks.
+
+    **Arguments:** `images`: as for [`check_place`][].
+
+    **Raises:** as [`check_place`][]; `OSError` if another run writes there.
     """
-    Path(folder).mkdir(parents=True, exist_ok=True)
-    with alone_in(Path(folder)):
-        yield TileStore(folder, job)
+    if is_remote(output):
+        yield address(output)
+        return
+    output = os.path.abspath(output)
+    check_place(output, images)
+    Path(output).mkdir(parents=True, exist_ok=True)
+    with alone_in(Path(output)):
+        yield output
 
 
-def _check(manifest: Path, job: dict[str, Any]) -> None:
-    with naming(f"output: {manifest}"):
-        found = parse_json(read_text(manifest))
-    check_job(str(manifest.parent), found, job)
+def check_place(output: str | os.PathLike[str], images: str | None) -> None:
+    """Check that maps can be written to a path on a disk, before anything is written.
 
+    **Arguments:** `images`: path or URL of the store of the images, if there is one.
 
-def check_job(place: str, found: Any, job: dict[str, Any]) -> None:
-    """Check that the tiles in a place are of this job.
-
-    **Raises:** `ValueError` that names the differences.
+    **Raises:** `OSError` if the images are there, or files that are not part of a store
+    of maps.
     """
-    if found != json.loads(json.dumps(job)):
-        held = found if isinstance(found, dict) else {}
-        differing = [key for key in job if held.get(key) != job[key]]
-        raise ValueError(
-            f"output: {place} holds tiles of another job (its "
-            f"{', '.join(differing) or 'manifest'} differs); give another folder"
-        )
+    place = Path(output).resolve()
+    source = None if images is None else Path(images).resolve()
+    if source is not None and (
+        place.is_relative_to(source) or source.is_relative_to(place)
+    ):
+        raise OSError(f"{output}: the images are there, expected another place")
+    if not place.is_dir():
+        return
+    for name in sorted(entry.name for entry in place.iterdir()):
+        if name not in OWN and not OTHERS.fullmatch(name):
+            raise OSError(f"{output}: is not replaced, since it holds {name}")
+
+
+def open_store(output: str, head: Mapping[str, Any]) -> "Group":
+    """Open a group for the blocks of a job; it is new, or of the same job.
+
+    **Arguments:** `head`: its attributes, with `format` and `job`.
+
+    **Raises:** `ValueError` if it holds another job or something else; `OSError` if it
+    cannot be written.
+    """
+    group = open_group(output, "a")
+    held = attributes(group)
+    if held.get("format") == head["format"]:
+        found, job = held.get("job"), head["job"]
+        if found != job:
+            known = found if isinstance(found, dict) else {}
+            differing = [key for key in job if known.get(key) != job[key]]
+            raise ValueError(
+                f"output: {output} holds results of another job (its "
+                f"{', '.join(differing) or 'list of inputs'} differs); give another "
+                "folder"
+            )
+    elif held:
+        raise ValueError(f"output: {output} holds something else; give another name")
+    if held | dict(head) != held:
+        write_attributes(group, dict(head))
+    return group

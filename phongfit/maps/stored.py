@@ -5,7 +5,6 @@ import json
 import math
 import os
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -14,15 +13,12 @@ from pydantic import Field, model_validator
 from phongfit.edge import checked
 from phongfit.files.budget import afford
 from phongfit.files.inputs import naming
-from phongfit.files.outputs import WORK
 from phongfit.files.records import AbstractRecord, parse_record, validated
 from phongfit.files.zarrs import address, attributes, open_group, read_window, writable
 from phongfit.geometry.cameras import WindowCamera
 from phongfit.maps.pixel.flags import Flag
-from phongfit.maps.pixel.settings import MAP_PARAMETERS
 from phongfit.maps.result import (
     MAPS_VERSION,
-    PLAIN,
     Maps,
     ViewRecord,
     checked_maps,
@@ -31,16 +27,6 @@ from phongfit.maps.result import (
 
 STORE_FORMAT = "phongfit maps"
 STORE_VERSION = 1
-
-LEDGER, GIVEN, PLAN = "ledger", "given", "plan"
-"""Names in the output's store: checksums of blocks, input arrays, and the plan."""
-
-OWN = {
-    *MAP_PARAMETERS,
-    *(f"stderr_{name}" for name in MAP_PARAMETERS),
-    *(*PLAIN, "noise_given", LEDGER, GIVEN, PLAN, WORK, "zarr.json"),
-}
-"""Names of all files and folders that a run writes into a store on a disk."""
 
 Count = Annotated[int, Field(ge=1)]
 
@@ -66,27 +52,6 @@ class StoreRecord(AbstractRecord):
             lacking = ", ".join(sorted(named - self.counts.keys()))
             raise ValueError(f"counts: expected those of {lacking}, too")
         return self
-
-
-def check_place(output: str | os.PathLike[str], images: str | None) -> None:
-    """Check that maps can be written to a path on a disk, before anything is written.
-
-    **Arguments:** `images`: path or URL of the store of the images, if there is one.
-
-    **Raises:** `OSError` if the images are there, or files that are not part of a store
-    of maps.
-    """
-    place = Path(output).resolve()
-    source = None if images is None else Path(images).resolve()
-    if source is not None and (
-        place.is_relative_to(source) or source.is_relative_to(place)
-    ):
-        raise OSError(f"{output}: the images are there, expected another place")
-    if not place.is_dir():
-        return
-    for name in sorted(entry.name for entry in place.iterdir()):
-        if name not in OWN:
-            raise OSError(f"{output}: is not replaced, since it holds {name}")
 
 
 def maps_of(arrays: Mapping[str, np.ndarray], head: Mapping[str, Any]) -> Maps:
@@ -172,7 +137,7 @@ class StoredMaps:
         pixel = sum(a.dtype.itemsize * math.prod(a.shape[2:]) for a in found)
         with naming(self.path):
             afford(pixel * size[0] * size[1], f"maps of {size[0]} × {size[1]} pixels")
-            arrays = {a.basename: read_window(a, window, size) for a in found}
+            arrays = {a.basename: read_window(a, window) for a in found}
             maps = maps_of(arrays, self._head)
             view = parse_record(json.dumps(self._head["view"]), ViewRecord)
         if view.camera is None:

@@ -28,7 +28,7 @@ from jaxtyping import Bool, Float, Int
 from phongfit.calibration.least_squares import robust_scale, tukey_weight
 from phongfit.geometry.surfaces import GBuffer, NormalMap
 from phongfit.maps.job import Job
-from phongfit.maps.layers import Masks
+from phongfit.maps.layers import Layers
 from phongfit.maps.result import Maps, Strengths
 from phongfit.maps.stacks import AbstractStack, KeptStack
 from phongfit.material import Material
@@ -186,7 +186,7 @@ def sample_points(
     scenes: Sequence[Scene],
     stack: AbstractStack,
     buffer: GBuffer,
-    masks: Masks,
+    masks: Layers,
     white: float,
 ) -> tuple[Int[np.ndarray, " pixels"], Points]:
     """Evenly chosen pixels that see the surface, without dark ones, and their samples.

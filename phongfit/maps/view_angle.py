@@ -28,7 +28,7 @@ from phongfit.geometry.cameras import (
     PerspectiveCamera,
 )
 from phongfit.geometry.planes import plane_before
-from phongfit.maps.layers import Masks
+from phongfit.maps.layers import mask_layers
 from phongfit.maps.run import fit_maps
 from phongfit.maps.stacks import AbstractStack, KeptStack, as_stack
 from phongfit.scene import Scene
@@ -195,8 +195,7 @@ def _sample(
     scenes: Sequence[Scene], stack: AbstractStack, mask: Any
 ) -> Bool[np.ndarray, "height width"]:
     """Pixels evenly spread over the object, without the dark ones."""
-    masks = Masks(mask, stack.shape)
-    pixels = np.flatnonzero(masks.anywhere())
+    pixels = np.flatnonzero(mask_layers(mask, stack.shape).anywhere())
     pixels = pixels[:: max(1, len(pixels) // (3 * SAMPLE))]
     light = np.ma.getdata(stack.take(pixels, range(len(scenes)))).max(axis=(0, 2))
     pixels = pixels[light > BRIGHT * np.median(light)]

@@ -79,12 +79,12 @@ def test_a_stopped_run_goes_on_where_it_was(brass, tmp_path, monkeypatch, capsys
     monkeypatch.setattr(Photographs, "load", interrupt)
     # Another job must not mix with these tiles.
     assert main([*args, "--noise", "0.02"]) == 2
-    assert "holds tiles of another job" in capsys.readouterr().err
-    times = {path.name: path.stat().st_mtime_ns for path in tiles.iterdir()}
+    assert "holds results of another job" in capsys.readouterr().err
+    times = {path: path.stat().st_mtime_ns for path in tiles.rglob("*")}
     assert len(times) > 1
 
     def look(folder, found, **kept):
-        assert times == {p.name: p.stat().st_mtime_ns for p in tiles.iterdir()}
+        assert times == {p: p.stat().st_mtime_ns for p in tiles.rglob("*")}
         interrupt()
 
     with monkeypatch.context() as patch:
@@ -133,9 +133,8 @@ def test_a_full_disk(brass, tmp_path, capsys):
     with full_disk(4000):
         assert main(args) == 2
     err = capsys.readouterr().err
-    assert "tile_000000.npz: cannot be written" in err and err.count("\n") == 1
-    (tiles,) = (tmp_path / "out").iterdir()
-    assert [path.name for path in tiles.iterdir()] == ["maps.json"]
+    assert "maps.npz: cannot be written" in err and err.count("\n") == 1
+    assert [path.name for path in (tmp_path / "out").iterdir()] == [command.TILES]
     assert main(args) == 0
 
 

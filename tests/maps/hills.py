@@ -6,7 +6,7 @@ import numpy as np
 
 import phongfit as pf
 from phongfit.files.fits import DataRecord, DataSettings
-from phongfit.maps.folder import MapSettings, save_folder
+from phongfit.maps.folder import MapOptions, save_folder
 from phongfit.maps.result import MAP_PARAMETERS, Maps, ParameterMaps
 
 SIZE = (32, 40)
@@ -61,7 +61,7 @@ def write_hills(folder: Path, camera: pf.geometry.AbstractCamera = CAMERA) -> No
         folder,
         maps,
         data=DataRecord(name="hills", reading=DataSettings(), inputs={}),
-        settings=MapSettings(),
+        settings=MapOptions(),
         model=maps.specular_model,
         encoding="srgb",
     )

@@ -251,12 +251,12 @@ def test_what_is_wrong_is_named(images, tmp_path, monkeypatch):
             raise AssertionError
     real = importlib.util.find_spec
     monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name: None if name == "zarr" else real(name)
+        importlib.util, "find_spec", lambda n: None if n == "fsspec" else real(n)
     )
     with pytest.raises(
-        ValueError, match=r"zarr not installed: pip .*phongfit\[cluster"
+        ValueError, match=r"fsspec not installed: pip .*phongfit\[cluster"
     ):
-        pf.ZarrStack(images)
+        pf.ZarrStack("s3://coins/stack.zarr")
 
 
 @pytest.fixture(scope="module")

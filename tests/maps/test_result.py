@@ -1,6 +1,8 @@
 """Warnings of maps, and what their files keep."""
 
 import dataclasses
+import sys
+import types
 
 import numpy as np
 import pytest
@@ -85,6 +87,23 @@ def test_strengths_that_the_images_contradict(strength_error, misplacement, code
 def test_misplaced_pixels(angle, warned):
     found = maps(misplacement=float(angle)).warnings
     assert [pf.warning_code(one) for one in found] == ["pixels-misplaced"] * warned
+
+
+def test_arrays_by_name(monkeypatch):
+    found = maps()
+    assert found["stderr_diffuse"] is found.stderr.diffuse
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(ImportError, match="to_xarray: .*pip install xarray"):
+        found.to_xarray()
+    table = types.SimpleNamespace(Dataset=dict)
+    monkeypatch.setitem(sys.modules, "xarray", table)
+    made = found.to_xarray()
+    dimensions = {name: made[name][0] for name in ("diffuse", "normals", "shininess")}
+    assert dimensions == {
+        "diffuse": ("y", "x", "channel"),
+        "normals": ("y", "x", "axis"),
+        "shininess": ("y", "x"),
+    }
 
 
 def test_a_file_keeps_both(tmp_path):

@@ -10,7 +10,7 @@ import pytest
 import phongfit as pf
 from data_synth.lights import spread_directions
 from phongfit.maps.job import make_job
-from phongfit.maps.layers import Masks
+from phongfit.maps.layers import mask_layers
 from phongfit.maps.result import Strengths
 from phongfit.maps.stacks import ArrayStack
 from phongfit.maps.strengths import find_strengths, may_be_equal, sample_points, solve
@@ -104,7 +104,7 @@ def test_near_lamps_have_their_own_directions_at_each_point():
         for t, s in zip(TRUE, near, strict=True)
     ]
     stack = ArrayStack(np.stack(images).astype(dtype()))
-    masks = Masks(None, stack.shape)
+    masks = mask_layers(None, stack.shape)
     _, points = sample_points(near, stack, buffer, masks, np.inf)
     found, _ = solve(points, np.zeros(points.light.shape), np.ones((10, 1)))
     np.testing.assert_allclose(found.values[:, 0], TRUE, rtol=2e-3)

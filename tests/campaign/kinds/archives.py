@@ -16,7 +16,6 @@ from phongfit.files.datasets import read_dataset
 from phongfit.files.saved import STRUCTURE, header, load_fit, write_packed
 from phongfit.maps.pixel.settings import MAP_PARAMETERS
 from phongfit.maps.result import load_maps
-from phongfit.maps.store import TileStore
 from tests.campaign.cases import Case, Kind, Wrong, blaming, put
 from tests.campaign.damage import damaged
 from tests.campaign.kinds.records import changed
@@ -24,7 +23,6 @@ from tests.campaign.kinds.records import changed
 SIZE = (5, 6)
 CAMERA = {"kind": "orthographic", "width": SIZE[1], "height": SIZE[0]}
 MODEL = {"kind": "blinn-phong"}
-JOB = {"settings": "as they are", "images": "0123"}
 
 
 @functools.cache
@@ -126,51 +124,6 @@ def _of_zip(random: np.random.Generator) -> Case:
     return Case("a.npz of another kind", put({"a.npz": data}), act)
 
 
-def _of_tiles(random: np.random.Generator) -> Case:
-    """A finished tile that was damaged: itself, or done again; never another."""
-    number = int(random.integers(3))
-    tiles = [
-        {"values": np.full((4, 3), float(k)), "pixels": np.arange(k, k + 4)}
-        for k in range(3)
-    ]
-    how = int(random.integers(3))
-
-    def arrange(folder: Path) -> None:
-        store = TileStore(folder, JOB)
-        for k, arrays in enumerate(tiles):
-            store.save(k, arrays)
-        path = folder / f"tile_{number:06d}.npz"
-        other = folder / f"tile_{(number + 1) % 3:06d}.npz"
-        if how == 0:
-            path.write_bytes(other.read_bytes())
-        elif how == 1:
-            path.write_bytes(damaged(random, path.read_bytes())[1])
-        else:
-            with np.load(path) as arrays:
-                blank = {name: np.zeros_like(arrays[name]) for name in arrays}
-            np.savez(path, allow_pickle=False, **blank)
-
-    def act(folder: Path) -> None:
-        found = TileStore(folder, JOB).load(number)
-        if found is not None:
-            for name, wanted in tiles[number].items():
-                if not np.array_equal(found[name], wanted):
-                    raise Wrong("another tile's numbers")
-
-    return Case(f"tile {number}: damage {how}", arrange, act)
-
-
-def _of_manifest(random: np.random.Generator) -> Case:
-    texts = ["[]", "{}", "7", "null", "{", "", "[" * 500, '{"images": []}', '"maps"']
-    text = texts[int(random.integers(len(texts)))]
-
-    def act(folder: Path) -> None:
-        with blaming("output"):
-            TileStore(folder, JOB)
-
-    return Case(f"maps.json: {text[:9]}", put({"maps.json": text.encode()}), act)
-
-
 @functools.cache
 def _saved(stock: Path) -> dict[str, np.ndarray]:
     """What `save_fit` writes, of a scene: it never becomes a fit."""
@@ -238,13 +191,13 @@ def _of_diligent(random: np.random.Generator) -> Case:
     return Case(f"{name}: {what}", put(files | {name: data}), act)
 
 
-MAKERS = [_of_maps, _of_array, _of_zip, _of_tiles, _of_manifest, _of_diligent]
+MAKERS = [_of_maps, _of_array, _of_zip, _of_diligent]
 
 
 def make(random: np.random.Generator, stock: Path) -> Case:
     if random.random() < 0.15:
         return _of_saved(random, stock)
-    weights = np.array([4, 2, 1, 3, 1, 4]) / 15
+    weights = np.array([4, 2, 1, 4]) / 11
     return MAKERS[int(random.choice(len(MAKERS), p=weights))](random)
 
 

@@ -44,7 +44,7 @@ def _check_same(found: dict[str, np.ndarray], wanted: dict[str, np.ndarray]) -> 
 
 def _harm(random: np.random.Generator, folder: Path) -> None:
     """Something happens to the tiles, or to what lies beside them."""
-    tiles = [path for path in sorted((folder / TILES).iterdir()) if path.is_file()]
+    tiles = [path for path in sorted((folder / TILES).rglob("*")) if path.is_file()]
     path = tiles[int(random.integers(len(tiles)))]
     other = tiles[int(random.integers(len(tiles)))]
     match int(random.integers(9)):
@@ -60,13 +60,13 @@ def _harm(random: np.random.Generator, folder: Path) -> None:
         case 5:
             if other != path:
                 path.unlink()
-                path.symlink_to(other.name)
+                path.symlink_to(other)
         case 6:
-            path = folder / TILES / "maps.json"
+            path = folder / TILES / "zarr.json"
             if path.is_file():
                 path.write_bytes(_changed(random, path.read_bytes()))
         case 7:
-            path = folder / TILES / str(random.choice(["tile_000009.npz", "x", WORK]))
+            path = folder / TILES / str(random.choice(["c", "x", WORK]))
             path.write_bytes(other.read_bytes())
         case _:
             name = str(random.choice([WORK, RECORD_FILE, "x", "flags.png"]))
@@ -170,7 +170,7 @@ def prepare(stock: Path) -> None:
         with mock.patch("phongfit.commands.maps.save", side_effect=stop):
             with contextlib.suppress(Refused):
                 command(*COMMAND, "-o", "begun")
-    if len(list((folder / "begun" / TILES).glob("tile_*"))) < 3:
+    if len(list((folder / "begun" / TILES / "ledger").rglob("0"))) < 3:
         raise Wrong("no tiles were left by a run that was stopped")
 
 

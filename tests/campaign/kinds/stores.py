@@ -1,13 +1,13 @@
 """Stores of zarr that were damaged: stacks, finished maps, and runs that go on."""
 
 import functools
-import importlib.util
 import json
 import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import zarr
 
 import phongfit as pf
 from phongfit.maps.cluster import fit_stored_maps
@@ -174,8 +174,6 @@ def make(random: np.random.Generator, stock: Path) -> Case:
 
 def prepare(stock: Path) -> None:
     """Stacks with chunks, with shards and in a group; and maps of one."""
-    import zarr
-
     folder = stock / STOCK
     light = np.random.default_rng(0).uniform(0.1, 0.9, (3, SIDE, SIDE, 3)).astype("f4")
     chunks = (1, 8, 8, 3)
@@ -189,6 +187,4 @@ def prepare(stock: Path) -> None:
     fit_stored_maps(_scenes(), images, out, progress=False, **QUICK)
 
 
-if importlib.util.find_spec("zarr"):
-    # What is not installed cannot be attacked.
-    KIND = Kind(make, prepare, seconds=60.0, megabytes=2500.0, share=0.3)
+KIND = Kind(make, prepare, seconds=60.0, megabytes=2500.0, share=0.3)

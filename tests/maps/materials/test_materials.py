@@ -8,7 +8,7 @@ import pytest
 import phongfit as pf
 from data_synth.lights import spread_directions
 from phongfit.files.fits import DataRecord, DataSettings
-from phongfit.maps.folder import MapSettings, load_folder, save_folder
+from phongfit.maps.folder import MapOptions, load_folder, save_folder
 from tests.maps.normals.scenes import FREE, Hidden, hide
 from tests.maps.synthetic import dtype, pulls
 
@@ -133,7 +133,7 @@ def test_they_are_kept(one, maps, tmp_path):
         tmp_path,
         maps,
         data=data,
-        settings=MapSettings(normals="fit", materials=1),
+        settings=MapOptions(normals="fit", materials=1),
         model=pf.BlinnPhong(),
         encoding="linear",
     )
@@ -149,10 +149,10 @@ def test_a_run_that_goes_on_has_the_same_materials(one, maps, tmp_path):
     folder = tmp_path / "tiles"
     first = found(one, output=folder, materials=1)
     np.testing.assert_array_equal(first.normals, maps.normals)
-    (folder / "tile_000000.npz").unlink()
+    (folder / "diffuse" / "c" / "0" / "0").unlink()
     second = found(one, output=folder, materials=1)
     np.testing.assert_array_equal(first.normals, second.normals)
-    with pytest.raises(ValueError, match="tiles of another job"):
+    with pytest.raises(ValueError, match="of another job"):
         found(one, output=folder, materials=2)
 
 
