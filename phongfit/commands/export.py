@@ -1,16 +1,14 @@
 """`phongfit export`: a material for other programs."""
 
-import itertools
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from tyro.conf import Positional, arg
 
 from phongfit.commands.fit import FIT_FILE
 from phongfit.commands.options import OutFile, optional, refuse
-from phongfit.files.gltf import Part, pbr_material, write_gltf
 from phongfit.files.inputs import sparing
 from phongfit.files.limits import as_blinn
 from phongfit.files.materials import read_material, write_material
@@ -20,13 +18,13 @@ from phongfit.files.opengl_lines import write_opengl
 from phongfit.files.outputs import check_file
 from phongfit.files.scenes import load_scene
 from phongfit.files.texture_fits import MESH_FILE
-from phongfit.files.usd import SUFFIXES, write_usd
+from phongfit.files.usd import SUFFIXES
 from phongfit.geometry.meshes import Mesh
 from phongfit.geometry.shapes import Ball
-from phongfit.geometry.surfaces import AbstractSurface, Sphere
+from phongfit.geometry.surfaces import Sphere
 from phongfit.maps.export import export_maps
 from phongfit.maps.folder import RECORD_FILE
-from phongfit.material import Material, unstack_materials
+from phongfit.material import Material, stack_materials, unstack_materials
 from phongfit.reflectance import BlinnPhong
 
 Target = Literal["mtl", "gltf", "usd", "json", "opengl", "obj", "ply", "stl"]
@@ -127,12 +125,16 @@ def main(options: Options) -> int:
 
 def _target(options: Options) -> Target:
     """The format from `--to`, or else from the file's suffix."""
-    to = options.to or BY_SUFFIX.get(options.out.suffix.lower())
+    suffix = options.out.suffix.lower()
+    to = options.to or BY_SUFFIX.get(suffix)
     if to is None:
         raise ValueError(
             f"out: expected a name that ends in {', '.join(BY_SUFFIX)}, or --to, got "
             f"{options.out.name}"
         )
+    own = [name for name, kind in BY_SUFFIX.items() if kind == to]
+    if to not in ("mtl", "json", "opengl") and suffix not in own:
+        raise ValueError(f"out: expected suffix {' or '.join(own)}, got {suffix!r}")
     return to
 
 
@@ -205,52 +207,29 @@ def _export_material(options: Options, to: Target) -> str:
             write_mtl(out, blinn, nearest=nearest)
         case "opengl":
             write_opengl(out, name, blinn[name], nearest=nearest)
-        case "gltf":
-            write_gltf(out, _on_surface(options, blinn))
-        case "usd":
-            write_usd(out, _on_surface(options, blinn), nearest=nearest)
+        case _:
+            _save_on_surface(options, blinn)
     return read.name
 
 
-def _on_surface(
-    options: Options, given: dict[str, Material]
-) -> list[tuple[Part, dict[str, Any]]]:
-    """Parts of the scene's surface, or of a sphere, each with its material."""
+def _save_on_surface(options: Options, given: dict[str, Material]) -> None:
+    """Write materials on the scene's mesh or sphere; else on a unit sphere."""
     surface = Sphere() if options.scene is None else load_scene(options.scene).surface
-    parts = surface_parts(surface)
-    if len(given) not in (1, len(parts)):
-        raise ValueError(
-            f"scene: expected {len(parts)} materials for its surface, got {len(given)}"
-        )
-    materials = [pbr_material(*one, options.nearest) for one in given.items()]
-    if len(materials) == 1:
-        materials *= len(parts)
-    return list(zip(parts, materials, strict=True))
-
-
-def surface_parts(surface: AbstractSurface) -> list[Part]:
-    """A surface as triangles, a part for each of its materials; else a unit sphere."""
+    materials = list(given.values())
     if isinstance(surface, Mesh):
-        mesh, center = surface, np.zeros(3)
+        index = surface.material_index if len(given) > 1 else None
+        corners, normals = surface.vertices, surface.vertex_normals()
+        mesh = Mesh(corners, surface.faces, normals, index)
     else:
-        radius = float(surface.radius) if isinstance(surface, Sphere) else 1.0
-        mesh = Ball(radius).mesh(96, 48)
-        center = np.asarray(surface.center) if isinstance(surface, Sphere) else 0.0
-    positions = np.asarray(mesh.vertices) + center
-    normals, faces = np.asarray(mesh.vertex_normals()), np.asarray(mesh.faces)
-    index = np.zeros(len(faces), int)
-    if mesh.material_index is not None:
-        index = np.asarray(mesh.material_index)
-    # One sort for all materials is faster than a mask for each.
-    order = np.argsort(index, kind="stable")
-    ends = np.searchsorted(index[order], np.arange(mesh.materials + 1))
-    return [
-        _used(positions, faces[order[start:end]], normals)
-        for start, end in itertools.pairwise(ends)
-    ]
-
-
-def _used(positions: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> Part:
-    """Some of a mesh's faces, with the vertices that they use."""
-    vertices, place = np.unique(faces, return_inverse=True)
-    return Part(positions[vertices], place.reshape(-1, 3), normals[vertices])
+        ball = surface if isinstance(surface, Sphere) else Sphere()
+        mesh = Ball(float(ball.radius)).mesh(96, 48)
+        normals = mesh.vertex_normals()
+        corners = np.asarray(mesh.vertices) + np.asarray(ball.center)
+        mesh = Mesh(corners, mesh.faces, normals)
+    if mesh.materials != len(given):
+        raise ValueError(
+            f"scene: expected {mesh.materials} materials for its surface, got "
+            f"{len(given)}"
+        )
+    material = stack_materials(materials) if len(given) > 1 else materials[0]
+    save_mesh(options.out, mesh, material, list(given), nearest=options.nearest)
