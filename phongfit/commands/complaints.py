@@ -63,7 +63,9 @@ def in_one_line(event: ParseErrorEvent, options: Collection[str]) -> str | None:
             )
             return f"{_named(argument)}: expected {few}"
         case InvalidChoice(argument=argument, value=got, choices=choices):
-            known = sorted(word for word in choices if word != "None")
+            known = [word for word in choices if word != "None"]
+            # The parser's order of a choice that may be left out is arbitrary.
+            known.sort(key=lambda word: (word.isdecimal() and int(word), word))
             words = f"{_named(argument)}: expected one of {', '.join(known)}, got"
             return f"{words} {got!r}{_hint(got, known)}"
         case InstantiationFailure(argument=argument, message=message) if argument:
