@@ -65,6 +65,7 @@ def test_bad_options(args, words, capsys):
         ("fit x --nose 0.01", "there is no option --nose; did you mean --noise?"),
         ("fit", "expected DATASET and -o OUT, got none"),
         ("fit x -o y --sphere 1 2", "--sphere: expected X Y R, got 1 2"),
+        ("scene --light 1 2", "--light: expected X Y Z, got fewer"),
         ("fit x -o y --noise a", "--noise: expected a number, got a"),
         ("fit x -o y --loss tuky", "tukey, got 'tuky'; did you mean tukey?"),
         ("export a -o b --to x", "--to: expected one of"),

@@ -19,7 +19,8 @@ from phongfit.calibration.matte import (
     Shading,
     shade,
 )
-from phongfit.calibration.outlines import View, across, mirrored, unit
+from phongfit.calibration.outlines import View, mirrored, unit
+from phongfit.fitting.problem.charts import tangents
 from phongfit.rendering.jpeg import namespace
 
 Lamps = Literal["distant", "near"]
@@ -102,7 +103,7 @@ def follow(
 
     found, by_step = differentiated(rays)(np.zeros(5), pixel, chrome.outlines[sphere])
     position, direction = found
-    tangent = across(direction)
+    tangent = tangents(direction)
     slopes = tangent @ by_step.direction
     by_pixel, by_outline = slopes[..., :2], slopes[..., 2:]
     covariance = error[:, None, None] ** 2 * by_pixel @ by_pixel.swapaxes(1, 2)
@@ -382,7 +383,7 @@ def solve_lamps(
         chrome,
         whiten,
         directions,
-        across(directions),
+        tangents(directions),
         reference,
         np.linalg.inv(hold),
         Shading(np.zeros((count, 8, 8)), np.zeros((count, 8)), 0),
@@ -415,7 +416,7 @@ def solve_lamps(
         begin = np.concatenate([np.zeros(2 * count), solution.values[2 * count :]])
         problem = problem._replace(
             start=estimate.directions,
-            tangents=across(estimate.directions),
+            tangents=tangents(estimate.directions),
             about=(estimate.inverse_distances, solution.values[-5:]),
         )
     assert estimate is not None

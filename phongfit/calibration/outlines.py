@@ -217,11 +217,3 @@ def mirrored(pixel: Pixels, outline: Outlines, view: View, radius: float) -> Ray
     at = seen(pixel, outline, view, radius)
     back = 2 * dots(at.normal, at.to_viewer) * at.normal - at.to_viewer
     return Ray(at.position, back)
-
-
-def across(direction: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 2 3"]:
-    """Two unit vectors perpendicular to each unit vector and to each other."""
-    # Constructed from the coordinate axis that is most nearly perpendicular.
-    axis = np.eye(3)[np.argmin(np.abs(direction), axis=-1)]
-    first = unit(np.cross(axis, direction))
-    return np.stack([first, np.cross(direction, first)], axis=-2)

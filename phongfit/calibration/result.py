@@ -174,23 +174,27 @@ class Calibration:
         """All numbers, in types for `json.dumps`, without unknown strengths' errors."""
         lamps = []
         for lamp, light in zip(self.lamps, self.lights, strict=True):
-            known = bool(np.isfinite(lamp.intensity).all())
-            entry: dict[str, Any] = {"photograph": lamp.photograph}
-            if lamp.position is None:
-                entry["direction"] = lamp.direction
-            else:
-                assert isinstance(light, PointLight)
-                entry["position"] = lamp.position
-                entry["attenuation"] = np.asarray(light.attenuation, float)
-            entry |= {"intensity": lamp.intensity if known else np.ones(3)}
-            if known:
-                entry["intensity_error"] = lamp.intensity_error
-            entry["direction_error_degrees"] = lamp.direction_error
-            entry["covariance"] = lamp.covariance
-            entry["highlights"] = [
-                pixel if np.isfinite(pixel).all() else None for pixel in lamp.highlights
-            ]
-            lamps.append(entry)
+            where = {"direction": lamp.direction}
+            if isinstance(light, PointLight):
+                attenuation = np.asarray(light.attenuation, float)
+                where = {"position": lamp.position, "attenuation": attenuation}
+            strength = {"intensity": np.ones(3)}
+            if np.isfinite(lamp.intensity).all():
+                error = lamp.intensity_error
+                strength = {"intensity": lamp.intensity, "intensity_error": error}
+            seen = [p if np.isfinite(p).all() else None for p in lamp.highlights]
+            lamps.append(
+                {
+                    "photograph": lamp.photograph,
+                    **where,
+                    **strength,
+                    "direction_error_degrees": lamp.direction_error,
+                    "covariance": lamp.covariance,
+                    "highlights": seen,
+                }
+            )
+        names = ("sphere_radius", "falloff", "falloff_error", "covariance")
+        names += ("ambient", "ambient_error", "left_out", "warnings")
         found = {
             "camera": {
                 "width": self.view.width,
@@ -200,17 +204,6 @@ class Calibration:
             },
             "reference": self.reference,
             "lights": lamps,
-            "spheres": [
-                {"kind": s.kind, "outline": s.outline, "covariance": s.covariance}
-                for s in self.spheres
-            ],
-            "sphere_radius": self.sphere_radius,
-            "falloff": self.falloff,
-            "falloff_error": self.falloff_error,
-            "covariance": self.covariance,
-            "ambient": self.ambient,
-            "ambient_error": self.ambient_error,
-            "left_out": dict(self.left_out),
-            "warnings": list(self.warnings),
+            "spheres": [sphere._asdict() for sphere in self.spheres],
         }
-        return plain(found)
+        return plain(found | {name: getattr(self, name) for name in names})

@@ -16,6 +16,7 @@ from phongfit.calibration.highlights import find_highlights
 from phongfit.calibration.matte import points_on, shaded_directions
 from phongfit.calibration.outlines import View, seen, stretch
 from phongfit.rendering.film import Film
+from phongfit.rendering.render import block_means
 
 Kind = Literal["chrome", "matte"]
 Outline = Float[np.ndarray, "3"]
@@ -151,7 +152,7 @@ def find_spheres(
     """
     shrink = max(1, -(-max(size) // SEARCHED))
     images = looked_at(photographs, names)
-    small = np.stack([_shrunk(image, shrink) for image in images])
+    small = np.stack([block_means(image, shrink).mean(axis=-1) for image in images])
     found = []
     for placed in find_circles(small):
         x, y, radius = placed.outline
@@ -176,16 +177,9 @@ def find_ball(photographs: Images, names: Sequence[str]) -> Outline | None:
     images = looked_at(photographs, names)
     first = next(images)
     shrink = max(1, -(-max(first.shape) // SEARCHED))
-    small = [_shrunk(image, shrink) for image in (first, *images)]
+    small = [block_means(one, shrink).mean(axis=-1) for one in (first, *images)]
     found = find_largest_arc(np.stack(small))
     return None if found is None else found.outline * shrink
-
-
-def _shrunk(image: np.ndarray, shrink: int) -> np.ndarray:
-    """A grey image, averaged over blocks of `shrink` × `shrink` pixels."""
-    height, width = (n // shrink for n in image.shape[:2])
-    grey = image.mean(axis=-1)[: height * shrink, : width * shrink]
-    return grey.reshape(height, shrink, width, shrink).mean(axis=(1, 3))
 
 
 def _kind(

@@ -55,9 +55,17 @@ def in_one_line(event: ParseErrorEvent, options: Collection[str]) -> str | None:
             names = [_named(one.arg, with_value=True) for one in missing]
             return f"expected {' and '.join(names)}, got none"
         case BadValue(argument=argument):
-            return f"{_named(argument)}: expected a value, got none"
+            several = argument.lowered.nargs not in (None, 1)
+            few = (
+                f"{argument.lowered.metavar}, got fewer"
+                if several
+                else "a value, got none"
+            )
+            return f"{_named(argument)}: expected {few}"
         case InvalidChoice(argument=argument, value=got, choices=choices):
             known = [word for word in choices if word != "None"]
+            # The parser's order of a choice that may be left out is arbitrary.
+            known.sort(key=lambda word: (word.isdecimal() and int(word), word))
             words = f"{_named(argument)}: expected one of {', '.join(known)}, got"
             return f"{words} {got!r}{_hint(got, known)}"
         case InstantiationFailure(argument=argument, message=message) if argument:

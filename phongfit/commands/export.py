@@ -125,12 +125,16 @@ def main(options: Options) -> int:
 
 def _target(options: Options) -> Target:
     """The format from `--to`, or else from the file's suffix."""
-    to = options.to or BY_SUFFIX.get(options.out.suffix.lower())
+    suffix = options.out.suffix.lower()
+    to = options.to or BY_SUFFIX.get(suffix)
     if to is None:
         raise ValueError(
             f"out: expected a name that ends in {', '.join(BY_SUFFIX)}, or --to, got "
             f"{options.out.name}"
         )
+    own = [name for name, kind in BY_SUFFIX.items() if kind == to]
+    if to not in ("mtl", "json", "opengl") and suffix not in own:
+        raise ValueError(f"out: expected suffix {' or '.join(own)}, got {suffix!r}")
     return to
 
 
@@ -203,21 +207,15 @@ def _export_material(options: Options, to: Target) -> str:
     elif to == "opengl":
         write_opengl(out, name, blinn[0], nearest=nearest)
     else:
-        _write_surface(options, to, names, blinn)
+        _write_surface(options, names, blinn)
     return read.name
 
 
 def _write_surface(
-    options: Options, to: Target, names: list[str], materials: list[Material]
+    options: Options, names: list[str], materials: list[Material]
 ) -> None:
     """Write the scene's surface, or a sphere, with the materials."""
-    out, scene = options.out, options.scene
-    wanted = [suffix for suffix, target in BY_SUFFIX.items() if target == to]
-    if out.suffix.lower() not in wanted:
-        raise ValueError(
-            f"{out}: expected suffix {' or '.join(wanted)}, got {out.suffix!r}"
-        )
-    surface = Sphere() if scene is None else load_scene(scene).surface
+    surface = Sphere() if options.scene is None else load_scene(options.scene).surface
     count, material = len(materials), materials[0]
     mesh = surface_mesh(surface, several=count > 1)
     if count != mesh.materials:
@@ -226,7 +224,7 @@ def _write_surface(
         )
     if count > 1:
         material = stack_materials(materials)
-    save_mesh(out, mesh, material, names, nearest=options.nearest)
+    save_mesh(options.out, mesh, material, names, nearest=options.nearest)
 
 
 def surface_mesh(surface: AbstractSurface, several: bool) -> Mesh:

@@ -39,7 +39,7 @@ from phongfit.lab.uploads import (
     shrunk,
 )
 from phongfit.rendering.film import Encoding, Film, as_encoding
-from phongfit.rendering.render import render
+from phongfit.rendering.render import block_means, render
 
 # Shown pixels are averages of FINER × FINER rendered ones; targets and fits have one.
 FINER = 2
@@ -280,7 +280,7 @@ class Session:
         light = self._render(settings, fine, Film(clamp=False))
         # Clamp before averaging: otherwise bright outlines would be jagged.
         light = np.minimum(brighten * light, 1)
-        return light.reshape(height, FINER, width, FINER, 3).mean(axis=(1, 3))
+        return block_means(light, FINER)
 
     def _trace(
         self, geometry: tuple[Any, ...], frame: Frame

@@ -16,6 +16,7 @@ from phongfit.files.meshes import load_mesh
 from phongfit.geometry.meshes import Mesh
 from phongfit.lab.scene import fitted_into_view
 from phongfit.rendering.film import Encoding
+from phongfit.rendering.render import block_means
 
 MAX_BYTES = 2**26
 """Maximum size of a file, bytes."""
@@ -84,7 +85,7 @@ def read_photograph_mask(
     size.
     """
     mask = _read(name, content, lambda path: read_mask(path, max_pixels=MAX_PIXELS))
-    whole = _shrink(mask[..., None].astype(float), times)[..., 0] >= 1
+    whole = block_means(mask[..., None].astype(float), times)[..., 0] >= 1
     if whole.shape != shape:
         came, wanted = mask.shape, tuple(times * side for side in shape)
         raise ValueError(f"{_plain(name)}: expected {wanted} pixels, got {came}")
@@ -96,14 +97,7 @@ def shrunk(
 ) -> tuple[Float[np.ndarray, "h w channels"], int]:
     """An image shrunk to a longer side of at most `MAX_SIDE`, and the factor."""
     times = math.ceil(max(image.shape) / MAX_SIDE)
-    return _shrink(image, times), times
-
-
-def _shrink(image: np.ndarray, times: int) -> np.ndarray:
-    """Means over blocks, of linear light."""
-    height, width = (side // times for side in image.shape[:2])
-    cut = image[: height * times, : width * times]
-    return cut.reshape(height, times, width, times, -1).mean(axis=(1, 3))
+    return block_means(image, times), times
 
 
 def _read(name: str, content: bytes, read: Callable[[Path], T]) -> T:

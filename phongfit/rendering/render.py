@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -70,8 +71,15 @@ def _shade(
     light = pixel_terms(scene, gbuffer).radiance(material)
     background = jnp.broadcast_to(scene.background, light.shape)
     light = jnp.where(gbuffer.mask[..., None], light, background)
-    if side > 1:
-        rows, columns, channels = light.shape
-        blocks = rows // side, side, columns // side, side, channels
-        light = jnp.mean(light.reshape(blocks), axis=(1, 3))
-    return film.expose(light)
+    return film.expose(block_means(light, side) if side > 1 else light)
+
+
+def block_means(image: Any, side: int) -> Any:
+    """An image of linear light, averaged over blocks of `side` × `side` pixels.
+
+    **Arguments:** `image`: (height, width, channels), of NumPy or JAX; rows and columns
+    beyond whole blocks are left out.
+    """
+    height, width = (size // side for size in image.shape[:2])
+    whole = image[: height * side, : width * side]
+    return whole.reshape(height, side, width, side, -1).mean(axis=(1, 3))

@@ -16,7 +16,7 @@ from phongfit.geometry.meshes import Mesh
 from phongfit.geometry.surfaces import AbstractSurface, NormalMap, Sphere
 from phongfit.lights import AbstractLight, DirectionalLight
 from phongfit.material import Material, unstack_materials
-from phongfit.rendering.render import render
+from phongfit.rendering.render import block_means, render
 from phongfit.report.html import fill, panel, parameters
 from phongfit.report.pictures import displayed
 from phongfit.report.plots import plot
@@ -122,12 +122,10 @@ def _over_nothing(image: Any, mask: Any, times: int) -> np.ndarray:
 
     A pixel is the mean of `times` × `times` finer ones, so that outlines are smooth.
     """
-    rows, columns = (size // times for size in mask.shape)
     light = (
         np.concatenate([image, np.ones((*mask.shape, 1))], axis=-1) * mask[..., None]
     )
-    fine = light[: rows * times, : columns * times]
-    mean = fine.reshape(rows, times, columns, times, 4).mean(axis=(1, 3))
+    mean = block_means(light, times)
     cover = mean[..., 3:]
     shown = displayed(mean[..., :3] / np.where(cover > 0, cover, 1))
     return np.concatenate([shown, cover], axis=-1)

@@ -6,7 +6,6 @@ import json
 import pytest
 
 from phongfit.lab.server import ASSETS
-from phongfit.lab.uploads import MAX_BYTES
 from tests.helpers import said
 
 
@@ -81,16 +80,6 @@ def test_requests_from_elsewhere(port):
     )
     assert preflight.status == 403
     assert "access-control-allow-origin" not in preflight.headers
-
-
-def test_too_large_a_file(port):
-    """It is refused by what it says of its size: nothing need be sent."""
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=60)
-    connection.putrequest("POST", "/api/mesh?name=a.obj")
-    connection.putheader("Content-Length", str(MAX_BYTES + 1))
-    connection.endheaders()
-    assert connection.getresponse().status == 413
-    connection.close()
 
 
 def test_unknown_addresses(port):
