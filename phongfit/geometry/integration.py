@@ -218,7 +218,7 @@ def _least_squares(
     """Conjugate gradients, with algebraic multigrid: linear in the number of pixels."""
     # Imported here, since they take long to import.
     import pyamg
-    from scipy.sparse import coo_array, csr_array
+    from scipy.sparse import coo_array, csr_array, eye_array
     from scipy.sparse.linalg import cg
 
     if not len(weight):
@@ -238,18 +238,12 @@ def _least_squares(
     # Neighbours do not determine the mean height of a piece. A tiny weight on `start`
     # makes the system regular.
     regularisation = 1e-10 * system.diagonal().max()
-    system = csr_array(system + regularisation * _identity(len(start)))
+    system = csr_array(system + regularisation * eye_array(len(start), format="csr"))
     right = difference.T @ (weight * pairs.step) + regularisation * start
     levels = pyamg.ruge_stuben_solver(system, coarse_solver="splu")
     preconditioner = levels.aspreconditioner()
     solution, _ = cg(system, right, start, rtol=1e-8, maxiter=200, M=preconditioner)
     return solution
-
-
-def _identity(size: int) -> Any:
-    from scipy.sparse import eye_array
-
-    return eye_array(size, format="csr")
 
 
 def label_pieces(

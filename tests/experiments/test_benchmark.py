@@ -1,6 +1,5 @@
 import dataclasses
 import importlib.util
-import itertools
 from typing import Any
 
 import jax
@@ -36,7 +35,6 @@ from experiments.benchmark.__main__ import (
     texture_ratios,
 )
 from experiments.benchmark.stack import UNKNOWNS, make_stack
-from experiments.benchmark.timing import medians
 from experiments.textured_object import TRUTH, Size, checkered, vase, views
 from phongfit.fitting.fit import fit
 
@@ -111,24 +109,6 @@ def test_a_peer_that_is_absent_is_left_out_with_a_word():
     with console.capture() as caught:
         assert not single.installed("no_such_module", "It", "pip install a[b]", console)
     assert caught.get() == "It is left out: pip install a[b]\n"
-
-
-def test_long_work_is_timed_less_often(monkeypatch):
-    monkeypatch.setattr("experiments.benchmark.timing.ENOUGH", 0.0)
-    monkeypatch.setattr("experiments.benchmark.timing.SETTLED", 0.0)
-    calls = []
-    found = medians({"work": lambda: calls.append(0)}, 9)
-    assert len(calls) == 2 + 3 and found["work"][0] > 0
-
-
-def test_a_run_is_timed_once_all_is_settled(monkeypatch):
-    clock = itertools.count()
-    monkeypatch.setattr("experiments.benchmark.timing.SETTLED", 10.0)
-    monkeypatch.setattr("time.perf_counter", lambda: next(clock))
-    calls = []
-    found = medians({"work": lambda: calls.append(0) or len(calls)}, 1)
-    # Each run takes three looks at the clock, and a turn begins with one.
-    assert found == {"work": (1.0, 2 + 4)}
 
 
 @pytest.fixture(scope="module")
