@@ -17,6 +17,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
+import lazy_loader
 import tyro
 
 from phongfit.files import budget
@@ -182,37 +183,13 @@ def _escape_unprintable() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
+# Only the chosen command is imported, since JAX and decoders take long to import.
+_module, _, _ = lazy_loader.attach("phongfit.commands", submodules=COMMANDS)
+
+
 def _load(name: str) -> Callable[..., int | None]:
     """The function that runs a command."""
-    # Only this command is imported, since JAX and decoders take long to import.
-    match name:
-        case "synth":
-            from phongfit.commands import synth as command
-        case "render":
-            from phongfit.commands import render as command
-        case "fit":
-            from phongfit.commands import fit as command
-        case "maps":
-            from phongfit.commands import maps as command
-        case "relight":
-            from phongfit.commands import relight as command
-        case "view":
-            from phongfit.commands import view as command
-        case "calibrate":
-            from phongfit.commands import calibrate as command
-        case "response":
-            from phongfit.commands import response as command
-        case "scene":
-            from phongfit.commands import scene as command
-        case "predict":
-            from phongfit.commands import predict as command
-        case "export":
-            from phongfit.commands import export as command
-        case "lab":
-            from phongfit.commands import lab as command
-        case _:
-            raise AssertionError(f"{name} is none of COMMANDS")
-    return command.main
+    return _module(name).main
 
 
 def _overview(args: Sequence[str]) -> None:

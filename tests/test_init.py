@@ -33,6 +33,12 @@ def test_names_that_moved_warn(module):
         assert name not in NAMES
 
 
+def test_all_names_of_version_0_2_are_there():
+    """It had 138 names; `geometry` and `rendering` are new."""
+    moved = {name for names in MOVED.values() for name in names.split()}
+    assert len(moved | set(NAMES)) == 140
+
+
 def test_modules_have_the_names_of_their_stubs():
     assert pf.geometry.trace is importlib.import_module("phongfit.geometry").trace
     for module in (pf.geometry, pf.rendering):

@@ -45,7 +45,7 @@ class ImplicitSurface(AbstractSurface):
 
         **Raises:** `ValueError` that names the argument.
         """
-        if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
+        if steps < 1:
             raise ValueError(f"steps: expected a whole number ≥ 1, got {steps!r}")
         self.function = as_function("function", function)
         self.lower = as_vector("lower", lower)

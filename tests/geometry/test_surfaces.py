@@ -115,13 +115,6 @@ def test_far_away_in_single_precision(distance):
     near(buffer.normal[5, 8], (0.6, 0, 0.8), tolerance)
 
 
-def test_big_and_far():
-    sphere = pf.Sphere((0, 0, -3e6), 1e6)
-    buffer = pf.geometry.trace(sphere, pf.OrthographicCamera(11, 11, view_height=2.2e6))
-    near(buffer.normal[5, 8], (0.6, 0, 0.8), 1e-5)
-    near(buffer.position[5, 8] / 1e6, (0.6, 0, -2.2), 1e-5)
-
-
 def test_intersect_random_rays():
     """Every hit lies on the sphere and on its ray, in front of it."""
     sphere = pf.Sphere((0.3, -0.2, 0.1), 1.5)
