@@ -31,7 +31,7 @@ from phongfit.checks import as_array
 from phongfit.codes import coded
 from phongfit.edge import checked
 from phongfit.geometry.cameras import AbstractCamera, OrthographicCamera
-from phongfit.geometry.height import HeightField
+from phongfit.geometry.height import HeightField, as_map
 
 MIN_COSINE = 0.02
 """Least cosine between normal and ray; below it the slope is too uncertain."""
@@ -101,7 +101,7 @@ def integrate_normals(
     size = field.shape[:2]
     inside = np.any(field != 0, axis=-1)
     if mask is not None:
-        inside = _of_size("mask", mask, size).astype(bool)
+        inside = as_map("mask", mask, size).astype(bool)
     if not np.isfinite(field[inside]).all():
         raise ValueError("normals: expected finite numbers")
     field = np.where(inside[..., None], field, 0)
@@ -117,7 +117,7 @@ def integrate_normals(
         raise ValueError("mask: expected at least one pixel with a normal, got none")
     weight = np.ones(size)
     if stderr is not None:
-        errors = _of_size("stderr", stderr, size).astype(float)
+        errors = as_map("stderr", stderr, size).astype(float)
         if not np.all(errors[inside] >= 0):
             raise ValueError("stderr: expected degrees ≥ 0")
         weight = 1 / (1 + (np.minimum(errors, 1e6) / HALF_WEIGHT_ERROR) ** 2)
@@ -133,7 +133,7 @@ def integrate_normals(
     u[inside] = steps
     known_depth = np.full(size, np.nan)
     if depth is not None:
-        known_depth = _of_size("depth", depth, size).astype(float)
+        known_depth = as_map("depth", depth, size).astype(float)
     depths = _depths(u, pieces, rays.parallel, known_depth, default_depth)
     height = float(np.dot(camera.position, camera.rotation[:, 2])) - depths
     warnings = _warnings(inside, valid, pieces, known_depth)
@@ -359,13 +359,3 @@ def _as_normals(normals: Any) -> Float[np.ndarray, "height width 3"]:
     if field.dtype.kind not in "fiu":
         raise ValueError(f"normals: expected numbers, got {field.dtype}")
     return field.astype(float)
-
-
-def _of_size(name: str, value: Any, size: tuple[int, ...]) -> np.ndarray:
-    array = as_array(name, value)
-    if array.shape != size or array.dtype.kind not in "bfiu":
-        raise ValueError(
-            f"{name}: expected numbers of shape {size}, as the normals have, got "
-            f"{array.dtype} of shape {array.shape}"
-        )
-    return array
