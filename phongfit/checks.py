@@ -79,6 +79,16 @@ def as_scalar(name: str, value: Any) -> Float[Array, ""]:
     return require(name, array, np.isfinite, jnp.isfinite, "a finite number")
 
 
+def as_positive(name: str, value: Any, below: float = np.inf) -> Float[Array, ""]:
+    """`value` as one number > 0 and < `below`; `ValueError` names `name`."""
+
+    def inside(a: Any) -> Any:
+        return (a > 0) & (a < below)
+
+    wanted = "a number > 0" + (f" and < {below:g}" if below < np.inf else "")
+    return require(name, as_scalar(name, value), inside, inside, wanted)
+
+
 def as_light(name: str, value: Any) -> Float[Array, "3"]:
     """`value`, one number or three, as RGB light of shape (3,), finite and ≥ 0."""
     array = as_floats(name, value)

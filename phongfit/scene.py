@@ -66,24 +66,9 @@ class Scene(eqx.Module):
         """
         camera = OrthographicCamera() if camera is None else camera
         lights = (lights,) if isinstance(lights, AbstractLight) else lights
-        if not isinstance(lights, Iterable):
-            raise ValueError(f"lights: expected a list of lights, got {lights!r}")
         lights = tuple(lights)
         specular_model = BlinnPhong() if specular_model is None else specular_model
         shading = PhongShading() if shading is None else shading
-        for name, value, kind in (
-            ("surface", surface, AbstractSurface),
-            ("camera", camera, AbstractCamera),
-            ("specular_model", specular_model, AbstractSpecular),
-            ("shading", shading, AbstractShading),
-            ("fog", fog, Fog | None),
-            ("shadows", shadows, bool),
-            ("local_viewer", local_viewer, bool | None),
-            *(("lights", light, AbstractLight) for light in lights),
-        ):
-            if not isinstance(value, kind):
-                wanted = getattr(kind, "__name__", kind)
-                raise ValueError(f"{name}: expected {wanted}, got {value!r}")
         if isinstance(surface, NormalMap) and surface.positions is None:
             placeless = DirectionalLight | HarmonicLight
             if not all(isinstance(light, placeless) for light in lights):
@@ -105,7 +90,7 @@ class Scene(eqx.Module):
         self.shading = shading
         self.fog = fog
         self.background = as_light("background", background)
-        self.shadows = shadows
+        self.shadows = bool(shadows)
         self.local_viewer = local_viewer
 
     def trace(self) -> GBuffer:

@@ -186,23 +186,6 @@ def test_a_wrong_import_is_seen(path, source):
     assert len(violations(Path(path), source)) == 1
 
 
-@pytest.mark.parametrize(
-    "path, source",
-    [
-        ("phongfit/geometry/cameras.py", "from phongfit.lights import PointLight"),
-        ("phongfit/geometry/cameras.py", "from .surfaces import Sphere"),
-        ("phongfit/fitting/fit.py", "import optimistix as optx\nimport jax"),
-        ("phongfit/__init__.pyi", "from .fitting.fit import fit as fit"),
-        ("phongfit/scene.py", "def f():\n    from phongfit.report.plots import plot"),
-        ("phongfit/commands/lab.py", "from phongfit.lab.command import lab"),
-        ("data_synth/dataset.py", "import phongfit as pf"),
-        ("experiments/benchmark/single.py", "import phongfit, data_synth, optimistix"),
-    ],
-)
-def test_a_right_import_is_fine(path, source):
-    assert violations(Path(path), source) == []
-
-
 def unheld(
     modules: set[str], tests: set[str], table: dict[str, list[str]]
 ) -> list[str]:

@@ -62,17 +62,12 @@ class Marks:
 
 def compare(answers: Answers) -> Marks:
     """Compare answers with the truth, and classify their warnings."""
-    warned = np.array(
-        [
-            any(map(is_doubtful, warnings_of_draw))
-            for warnings_of_draw in answers.warnings
-        ]
-    )
+    warned = np.array([any(map(is_doubtful, words)) for words in answers.warnings])
     finite = np.isfinite(answers.error)
     truth, deviation = answers.truth, np.abs(answers.estimate - answers.truth)
-    slack = ROUNDING * np.abs(truth)
+    rounding = ROUNDING * np.abs(truth)
     trusted = finite & ~warned[:, None]
-    # Asymmetric errors: the interval's side towards the truth is used.
+    # An interval may be asymmetric; its side towards the truth counts as an error, too.
     side = np.where(truth > answers.estimate, answers.high, answers.low)
     error = np.fmax(answers.error, np.abs(side - answers.estimate) / REACH)
     reach = np.where(answers.at_bound, FAR**2, FAR) * error
@@ -81,8 +76,8 @@ def compare(answers: Answers) -> Marks:
     return Marks(
         finite=finite,
         trusted=trusted,
-        covered=(answers.low <= truth + slack) & (truth - slack <= answers.high),
+        covered=(answers.low <= truth + rounding) & (truth - rounding <= answers.high),
         on_bound=trusted & answers.at_bound,
-        off=~(deviation <= reach + slack) & ~(outside & answers.at_bound),
+        off=~(deviation <= reach + rounding) & ~(outside & answers.at_bound),
         warned=warned,
     )

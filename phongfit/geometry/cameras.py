@@ -15,7 +15,14 @@ import numpy as np
 from equinox import AbstractVar
 from jaxtyping import Array, Bool, Float
 
-from phongfit.checks import as_floats, as_scalar, as_vector, nonzero, require
+from phongfit.checks import (
+    as_floats,
+    as_positive,
+    as_scalar,
+    as_vector,
+    nonzero,
+    require,
+)
 from phongfit.edge import checked
 from phongfit.geometry.distortion import AbstractDistortion, Place, flat
 from phongfit.programs import program
@@ -118,14 +125,6 @@ def _as_rotation(value: Any) -> Float[Array, "3 3"]:
     return require("rotation", rotation, fine(np), fine(jnp), wanted)
 
 
-def _positive(name: str, value: Any, below: float = np.inf) -> Scalar:
-    def inside(a: Any) -> Any:
-        return (a > 0) & (a < below)
-
-    wanted = "a number > 0" + (f" and < {below:g}" if below < np.inf else "")
-    return require(name, as_scalar(name, value), inside, inside, wanted)
-
-
 @checked
 def look_at(position: Any, target: Any, up: Any = (0, 1, 0)) -> Float[Array, "3 3"]:
     """Rotation of a camera at `position` that sees `target` in its centre.
@@ -184,7 +183,7 @@ class OrthographicCamera(AbstractCamera):
         """
         self.width = _as_size("width", width)
         self.height = _as_size("height", height)
-        self.view_height = _positive("view_height", view_height)
+        self.view_height = as_positive("view_height", view_height)
         self.position = as_vector("position", position)
         self.rotation = _as_rotation(np.eye(3) if rotation is None else rotation)
 
@@ -264,7 +263,7 @@ class PerspectiveCamera(AbstractCamera):
         """
         self.width = _as_size("width", width)
         self.height = _as_size("height", height)
-        self.fov_y = _positive("fov_y", fov_y, below=180)
+        self.fov_y = as_positive("fov_y", fov_y, below=180)
         self.position = as_vector("position", position)
         self.rotation = _as_rotation(np.eye(3) if rotation is None else rotation)
 
@@ -367,8 +366,8 @@ class PinholeCamera(AbstractCamera):
         """
         self.width = _as_size("width", width)
         self.height = _as_size("height", height)
-        self.fx = _positive("fx", fx)
-        self.fy = self.fx if fy is None else _positive("fy", fy)
+        self.fx = as_positive("fx", fx)
+        self.fy = self.fx if fy is None else as_positive("fy", fy)
         self.cx = as_scalar("cx", width / 2 if cx is None else cx)
         self.cy = as_scalar("cy", height / 2 if cy is None else cy)
         self.skew = as_scalar("skew", skew)

@@ -111,7 +111,7 @@ def cast_shadows(
 
     **Raises:** `ValueError` that names the argument.
     """
-    height = as_height(height, camera)
+    height = as_map("height", height, (camera.height, camera.width)).astype(float)
     fractions = shadow_shares(height, camera, lights, CENTRES)
     found = [fraction > 0.5 for fraction in fractions]
     return np.stack(found) if found else np.zeros((0, *height.shape), bool)
@@ -141,19 +141,15 @@ def shadow_shares(
         yield fraction
 
 
-def as_height(height: Any, camera: AbstractCamera) -> np.ndarray:
-    """`height` as numbers of the camera's size, NaN outside.
-
-    **Raises:** `ValueError` that names it.
-    """
-    array = as_array("height", height)
-    wanted = (camera.height, camera.width)
-    if array.shape != wanted or array.dtype.kind not in "fiu":
+def as_map(name: str, value: Any, size: tuple[int, ...]) -> np.ndarray:
+    """`value` as an array of numbers, one for each pixel; `ValueError` names `name`."""
+    array = as_array(name, value)
+    if array.shape != size or array.dtype.kind not in "bfiu":
         raise ValueError(
-            f"height: expected numbers of shape {wanted}, as the camera has pixels, "
-            f"got {array.dtype} of shape {array.shape}"
+            f"{name}: expected numbers of shape {size}, one a pixel, got "
+            f"{array.dtype} of shape {array.shape}"
         )
-    return array.astype(float)
+    return array
 
 
 def _within(

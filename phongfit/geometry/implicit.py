@@ -45,7 +45,7 @@ class ImplicitSurface(AbstractSurface):
 
         **Raises:** `ValueError` that names the argument.
         """
-        if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
+        if steps < 1:
             raise ValueError(f"steps: expected a whole number ≥ 1, got {steps!r}")
         self.function = as_function("function", function)
         self.lower = as_vector("lower", lower)
@@ -119,7 +119,10 @@ class ImplicitSurface(AbstractSurface):
     def _first_entry(
         self, ray: Ray, near: Scalar, far: Scalar
     ) -> tuple[Bool[Array, ""], Scalar, Scalar]:
-        """Whether F turns negative along the ray, and both ends of the step where."""
+        """The first step along the ray in which F turns negative.
+
+        **Returns:** whether there is one, and the distances of its two ends.
+        """
         near, far = jax.lax.stop_gradient((near, far))
         through = far > near
         near, far = jnp.where(through, near, 0), jnp.where(through, far, 1)

@@ -31,7 +31,7 @@ from phongfit.checks import as_array
 from phongfit.codes import coded
 from phongfit.edge import checked
 from phongfit.geometry.cameras import AbstractCamera, OrthographicCamera
-from phongfit.geometry.height import HeightField
+from phongfit.geometry.height import HeightField, as_map
 
 MIN_COSINE = 0.02
 """Least cosine between normal and ray; below it the slope is too uncertain."""
@@ -101,7 +101,7 @@ def integrate_normals(
     size = field.shape[:2]
     inside = np.any(field != 0, axis=-1)
     if mask is not None:
-        inside = _of_size("mask", mask, size).astype(bool)
+        inside = as_map("mask", mask, size).astype(bool)
     if not np.isfinite(field[inside]).all():
         raise ValueError("normals: expected finite numbers")
     field = np.where(inside[..., None], field, 0)
@@ -117,7 +117,7 @@ def integrate_normals(
         raise ValueError("mask: expected at least one pixel with a normal, got none")
     weight = np.ones(size)
     if stderr is not None:
-        errors = _of_size("stderr", stderr, size).astype(float)
+        errors = as_map("stderr", stderr, size).astype(float)
         if not np.all(errors[inside] >= 0):
             raise ValueError("stderr: expected degrees ≥ 0")
         weight = 1 / (1 + (np.minimum(errors, 1e6) / HALF_WEIGHT_ERROR) ** 2)
@@ -133,7 +133,7 @@ def integrate_normals(
     u[inside] = steps
     known_depth = np.full(size, np.nan)
     if depth is not None:
-        known_depth = _of_size("depth", depth, size).astype(float)
+        known_depth = as_map("depth", depth, size).astype(float)
     depths = _depths(u, pieces, rays.parallel, known_depth, default_depth)
     height = float(np.dot(camera.position, camera.rotation[:, 2])) - depths
     warnings = _warnings(inside, valid, pieces, known_depth)
@@ -218,7 +218,7 @@ def _least_squares(
     """Conjugate gradients, with algebraic multigrid: linear in the number of pixels."""
     # Imported here, since they take long to import.
     import pyamg
-    from scipy.sparse import coo_array, csr_array
+    from scipy.sparse import coo_array, csr_array, eye_array
     from scipy.sparse.linalg import cg
 
     if not len(weight):
@@ -238,18 +238,12 @@ def _least_squares(
     # Neighbours do not determine the mean height of a piece. A tiny weight on `start`
     # makes the system regular.
     regularisation = 1e-10 * system.diagonal().max()
-    system = csr_array(system + regularisation * _identity(len(start)))
+    system = csr_array(system + regularisation * eye_array(len(start), format="csr"))
     right = difference.T @ (weight * pairs.step) + regularisation * start
     levels = pyamg.ruge_stuben_solver(system, coarse_solver="splu")
     preconditioner = levels.aspreconditioner()
     solution, _ = cg(system, right, start, rtol=1e-8, maxiter=200, M=preconditioner)
     return solution
-
-
-def _identity(size: int) -> Any:
-    from scipy.sparse import eye_array
-
-    return eye_array(size, format="csr")
 
 
 def label_pieces(
@@ -365,13 +359,3 @@ def _as_normals(normals: Any) -> Float[np.ndarray, "height width 3"]:
     if field.dtype.kind not in "fiu":
         raise ValueError(f"normals: expected numbers, got {field.dtype}")
     return field.astype(float)
-
-
-def _of_size(name: str, value: Any, size: tuple[int, ...]) -> np.ndarray:
-    array = as_array(name, value)
-    if array.shape != size or array.dtype.kind not in "bfiu":
-        raise ValueError(
-            f"{name}: expected numbers of shape {size}, as the normals have, got "
-            f"{array.dtype} of shape {array.shape}"
-        )
-    return array

@@ -23,7 +23,6 @@ from phongfit.codes import warn
 from phongfit.edge import checked
 from phongfit.geometry.cameras import AbstractCamera, Ray
 from phongfit.geometry.normals import (
-    WEIGHTINGS,
     Weighting,
     face_normal,
     face_normals,
@@ -141,9 +140,6 @@ class Mesh(AbstractSurface):
         faces = as_integers("faces", faces, 0, len(vertices))
         if faces.ndim != 2 or faces.shape[1] != 3:
             raise ValueError(f"faces: expected shape (F, 3), got {faces.shape}")
-        if weighting not in WEIGHTINGS:
-            wanted = " or ".join(repr(name) for name in WEIGHTINGS)
-            raise ValueError(f"weighting: expected {wanted}, got {weighting!r}")
         require("vertices", vertices, np.isfinite, jnp.isfinite, "finite numbers")
         if normals is not None:
             normals = as_floats("normals", normals)

@@ -4,7 +4,7 @@ Faces are wound counter-clockwise seen from outside, so that normals point outwa
 """
 
 from collections.abc import Callable
-from typing import Literal, get_args
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,6 @@ from phongfit.programs import program
 from phongfit.vectors import Scalar, Vec3, dot, norm, normalize
 
 Weighting = Literal["area", "angle"]
-WEIGHTINGS: tuple[Weighting, ...] = get_args(Weighting)
 
 
 def face_normal(a: Vec3, b: Vec3, c: Vec3) -> Vec3:

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from phongfit.checks import as_floats, require
 from phongfit.edge import checked
+from phongfit.geometry.grids import grid_faces
 from phongfit.geometry.meshes import Mesh
 from phongfit.geometry.normals import parametric_normal
 from phongfit.programs import program
@@ -126,8 +127,9 @@ def _check_steps(name: str, count: int) -> None:
 
 
 def _cell_faces(columns: int, rows: int) -> np.ndarray:
-    """Two triangles for each cell of a grid of vertices, counted row by row."""
-    row, column = (index.ravel() for index in np.indices((rows, columns)))
-    a = row * (columns + 1) + column
-    b, c, d = a + 1, a + columns + 2, a + columns + 1
-    return np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    """Two triangles for each cell of a grid of vertices, counted row by row.
+
+    `grid_faces` has y down; here v is up, so the faces run the other way round.
+    """
+    lower, upper = np.split(grid_faces(rows + 1, columns + 1)[:, [0, 2, 1]], 2)
+    return np.concatenate([upper, lower])

@@ -5,7 +5,7 @@ from it: whatever the method, the image stays linear in them.
 """
 
 import abc
-from typing import Literal, get_args
+from typing import Literal
 
 import equinox as eqx
 import jax
@@ -19,7 +19,6 @@ from phongfit.geometry.meshes import Mesh
 from phongfit.geometry.surfaces import AbstractSurface, GBuffer
 
 Place = Literal["centroid", "last_vertex"]
-PLACES: tuple[Place, ...] = get_args(Place)
 
 
 class LightingPoints(eqx.Module):
@@ -181,9 +180,6 @@ class FlatShading(AbstractShading):
 
         **Raises:** `ValueError` for another place.
         """
-        if at not in PLACES:
-            wanted = " or ".join(repr(name) for name in PLACES)
-            raise ValueError(f"at: expected {wanted}, got {at!r}")
         self.at = at
         self.clamp = bool(clamp)
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from phongfit.checks import as_function, as_scalar, require
+from phongfit.checks import as_function, as_positive
 from phongfit.edge import checked
 from phongfit.geometry.implicit import ImplicitSurface
 from phongfit.geometry.meshes import Mesh
@@ -52,13 +52,6 @@ class AbstractShape(eqx.Module):
 ROOM = 1.01
 
 
-def _size(name: str, value: Any) -> Scalar:
-    def positive(a: Any) -> Any:
-        return a > 0
-
-    return require(name, as_scalar(name, value), positive, positive, "a number > 0")
-
-
 def _turn(fraction: Scalar) -> tuple[Scalar, Scalar]:
     angle = 2 * np.pi * fraction
     return jnp.cos(angle), jnp.sin(angle)
@@ -71,7 +64,7 @@ class Ball(AbstractShape):
 
     def __init__(self, radius: Any = 1.0):
         """**Arguments:** `radius` > 0, world units, else `ValueError`."""
-        self.radius = _size("radius", radius)
+        self.radius = as_positive("radius", radius)
 
     def implicit(self, position: Vec3) -> Scalar:
         return norm(position) - self.radius
@@ -96,8 +89,8 @@ class Torus(AbstractShape):
         """**Arguments:** `major` > 0, from the centre to the middle of the tube, and
         `minor` > 0, the tube's radius, world units, else `ValueError`.
         """
-        self.major = _size("major", major)
-        self.minor = _size("minor", minor)
+        self.major = as_positive("major", major)
+        self.minor = as_positive("minor", minor)
 
     def implicit(self, position: Vec3) -> Scalar:
         across = norm(position[:2]) - self.major
@@ -121,8 +114,8 @@ class Cylinder(AbstractShape):
 
     def __init__(self, radius: Any = 0.5, height: Any = 2.0):
         """**Arguments:** both > 0, world units, else `ValueError`."""
-        self.radius = _size("radius", radius)
-        self.height = _size("height", height)
+        self.radius = as_positive("radius", radius)
+        self.height = as_positive("height", height)
 
     def implicit(self, position: Vec3) -> Scalar:
         return norm(position[jnp.array([0, 2])]) - self.radius
@@ -161,9 +154,9 @@ class HeightField(AbstractShape):
         **Raises:** `ValueError` that names the argument.
         """
         self.function = as_function("function", function)
-        self.width = _size("width", width)
-        self.height = _size("height", height)
-        self.relief = _size("relief", relief)
+        self.width = as_positive("width", width)
+        self.height = as_positive("height", height)
+        self.relief = as_positive("relief", relief)
 
     def implicit(self, position: Vec3) -> Scalar:
         x, y, z = position

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from phongfit.checks import as_floats, as_indices, as_scalar, as_vector, require
+from phongfit.checks import as_floats, as_indices, as_positive, as_vector, require
 from phongfit.edge import checked
 from phongfit.geometry.cameras import AbstractCamera, Ray
 from phongfit.geometry.grids import triangles
@@ -148,14 +148,8 @@ class Sphere(AbstractSurface):
 
         **Raises:** `ValueError` that names the argument.
         """
-
-        def positive(a: Any) -> Any:
-            return a > 0
-
         self.center = as_vector("center", center)
-        self.radius = require(
-            "radius", as_scalar("radius", radius), positive, positive, "a number > 0"
-        )
+        self.radius = as_positive("radius", radius)
 
     def intersect(self, ray: Ray) -> tuple[Vec3, Vec3, Bool[Array, ""]]:
         """The first intersection of one ray with the sphere, from outside.

@@ -1,6 +1,5 @@
 import dataclasses
 import importlib.util
-import itertools
 from typing import Any
 
 import jax
@@ -11,7 +10,6 @@ from rich.console import Console
 
 import phongfit as pf
 from experiments.benchmark import (
-    costs,
     map_peers,
     maps,
     normal_peers,
@@ -30,13 +28,11 @@ from experiments.benchmark.__main__ import (
     normal_ratio,
     single_details,
     single_ratios,
-    spread,
     table,
     texture_details,
     texture_ratios,
 )
 from experiments.benchmark.stack import UNKNOWNS, make_stack
-from experiments.benchmark.timing import medians
 from experiments.textured_object import TRUTH, Size, checkered, vase, views
 from phongfit.fitting.fit import fit
 
@@ -54,28 +50,6 @@ def test_all_ways_end_at_one_answer():
     for ratio in single_ratios(found):
         ours, theirs = ratio.key.split("_over_")[::-1]
         assert ratio.value == pytest.approx(seconds[theirs] / seconds[ours])
-
-
-def test_a_peer_has_one_thread():
-    """The one that factorises matrices with OpenBLAS, as long as it works."""
-    threadpoolctl = pytest.importorskip("threadpoolctl")
-
-    def threads() -> list[int]:
-        pools = threadpoolctl.threadpool_info()
-        return [one["num_threads"] for one in pools if one["user_api"] == "blas"]
-
-    before = threads()
-    assert before and set(single.on_one_thread(threads)()) == {1}
-    assert threads() == before
-
-
-@pytest.mark.extended
-def test_the_start_is_the_peers():
-    scene, image = single.target(24)
-    problem = fit(scene, image).solution.problem
-    material = problem.unknowns.material(single.start(problem))
-    assert float(material.shininess) == pytest.approx(8)
-    assert material.diffuse.tolist() == [0.5, 0.5, 0.5]
 
 
 @pytest.mark.extended
@@ -111,24 +85,6 @@ def test_a_peer_that_is_absent_is_left_out_with_a_word():
     with console.capture() as caught:
         assert not single.installed("no_such_module", "It", "pip install a[b]", console)
     assert caught.get() == "It is left out: pip install a[b]\n"
-
-
-def test_long_work_is_timed_less_often(monkeypatch):
-    monkeypatch.setattr("experiments.benchmark.timing.ENOUGH", 0.0)
-    monkeypatch.setattr("experiments.benchmark.timing.SETTLED", 0.0)
-    calls = []
-    found = medians({"work": lambda: calls.append(0)}, 9)
-    assert len(calls) == 2 + 3 and found["work"][0] > 0
-
-
-def test_a_run_is_timed_once_all_is_settled(monkeypatch):
-    clock = itertools.count()
-    monkeypatch.setattr("experiments.benchmark.timing.SETTLED", 10.0)
-    monkeypatch.setattr("time.perf_counter", lambda: next(clock))
-    calls = []
-    found = medians({"work": lambda: calls.append(0) or len(calls)}, 1)
-    # Each run takes three looks at the clock, and a turn begins with one.
-    assert found == {"work": (1.0, 2 + 4)}
 
 
 @pytest.fixture(scope="module")
@@ -247,13 +203,6 @@ def test_a_row_says_whether_its_aim_is_met():
     assert text[3].endswith("80× (short) |") and "≤ 1.5×" in text[4]
     grown = {name: {"1": 1.0, "2": 2.0} for name in "abcd"}
     assert len(figure(rows, grown).axes) == 2
-
-
-@pytest.mark.extended
-def test_costs_are_of_what_they_say():
-    rendered = costs.render_costs((16, 32))
-    assert set(rendered) == {"16", "32"} and spread({"a": 2.0, "b": 3.0}) == 1.5
-    assert len(costs.scene_of(8, lights=4).lights) == 4
 
 
 def test_nothing_to_time():

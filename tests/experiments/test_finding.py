@@ -6,7 +6,7 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from experiments.finding import Experiment, Finding, Table, save_animation
+from experiments.finding import Experiment, Finding, Table
 from experiments.style import page
 from phongfit.cli import run
 
@@ -93,13 +93,3 @@ def test_what_cannot_be_written_is_told_first(tmp_path, capsys, option, name, wo
     told = capsys.readouterr().err
     assert words in told and told.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
-
-
-def test_light_beyond_white_is_cut_off(tmp_path):
-    save_animation(tmp_path / "a.gif", np.full((2, 4, 4, 3), 7.0) * [[[[1, 0, 1]]]])
-    assert iio.imread(tmp_path / "a.gif", plugin="pillow").max() == 255
-
-
-@pytest.mark.parametrize("missing", [None, "", "Question: why?"])
-def test_an_about_without_a_method(missing):
-    assert Experiment("x", missing, experiment().find).method == ""

@@ -28,13 +28,3 @@ def test_light_is_shown_as_a_screen_shows_it():
     dark, bright = draw().axes
     assert np.asarray(dark.images[0].get_array()).max() == 0
     assert np.asarray(bright.images[0].get_array()).max() == pytest.approx(1)
-
-
-def test_symbols():
-    assert style.symbol("diffuse") == "$ρ_{d}$" and style.symbol("shininess") == "$f$"
-
-
-def test_colours_differ_in_brightness_or_hue():
-    colours = [colour for colour, *_ in style.PARAMETERS.values()]
-    markers = [marker for _, marker, _ in style.PARAMETERS.values()]
-    assert len(set(colours)) == len(set(markers)) == len(colours)

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from phongfit.geometry import raytracing
 from phongfit.geometry.cameras import Ray
 from phongfit.geometry.meshes import barycentrics
 from phongfit.testing import check_gradients
@@ -264,40 +263,3 @@ def test_a_camera_inside_a_face(kind):
     a, b, c = PYRAMID[SLOPES[1]]
     buffer = mesh.trace(kind.look_at(3 * c - a - b, inside, width=4, height=4))
     assert buffer.mask.any()
-
-
-def test_a_second_render_does_not_trace_again(monkeypatch):
-    scene = pf.Scene(
-        pf.Mesh(PYRAMID, SLOPES), camera(), pf.PointLight((1, 2, 3)), shadows=True
-    )
-    gbuffer = scene.trace()
-    first = pf.render(scene, pf.Material(), gbuffer=gbuffer)
-
-    def refuse(*arguments):
-        raise AssertionError("Embree was asked")
-
-    monkeypatch.setattr(raytracing._Tree, "run", refuse)
-    near(pf.render(scene, pf.Material(), gbuffer=gbuffer), first)
-    near(pf.render(scene, pf.Material()), first)
-
-
-def test_all_rays_of_a_picture_are_traced_in_one_call(monkeypatch):
-    """And one hierarchy serves all pictures."""
-    mesh = pf.shapes.Torus().mesh(64, 32, two_sided=True)
-    built, asked = [], []
-    build, run = raytracing._Tree.__init__, raytracing._Tree.run
-
-    def counted_build(self, vertices, faces):
-        built.append(len(faces))
-        build(self, vertices, faces)
-
-    def counted_run(self, origin, direction, query):
-        asked.append(direction.shape)
-        return run(self, origin, direction, query)
-
-    monkeypatch.setattr(raytracing._Tree, "__init__", counted_build)
-    monkeypatch.setattr(raytracing._Tree, "run", counted_run)
-    for distance in (5.0, 5.1):
-        view = pf.PerspectiveCamera(256, 256, position=(0, 0, distance))
-        assert mesh.trace(view).mask.any()
-    assert built == [len(mesh.faces)] and asked == [(256, 256, 3)] * 2

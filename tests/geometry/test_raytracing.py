@@ -1,7 +1,6 @@
 import sys
 import threading
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -71,19 +70,6 @@ def test_a_far_viewer_sees_as_well_as_a_near_one():
     np.testing.assert_array_equal(found, [0, 1, 2, 1, -1, -1])
     found = blocked(floats(VERTICES), FACES, rays, floats(np.full(6, 1e6 + 0.5)))
     np.testing.assert_array_equal(found, [1, 1, 0, 1, 0, 0])
-
-
-def test_inside_jit_and_vmap_it_is_the_same():
-    rays = rays_down(POINTS)
-
-    def trace(vertices):
-        return first_faces(vertices, FACES, ALL, rays)
-
-    expected = trace(floats(VERTICES))
-    np.testing.assert_array_equal(jax.jit(trace)(floats(VERTICES)), expected)
-    shifted = floats(VERTICES + [0.5, 0, 0])
-    both = jax.vmap(trace)(jnp.stack([floats(VERTICES), shifted]))
-    np.testing.assert_array_equal(both, jnp.stack([expected, trace(shifted)]))
 
 
 def test_what_was_traced_is_not_traced_again(monkeypatch):

@@ -1,11 +1,9 @@
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import phongfit as pf
-from phongfit.geometry.shading import Interpolation
-from tests.helpers import floats, near
+from tests.helpers import near
 
 # Two triangles of a square in the plane z = 0, of two materials.
 SQUARE = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
@@ -23,11 +21,6 @@ def lit(scene, material=None):
     gbuffer = scene.trace()
     material = pf.Material(specular=0.4) if material is None else material
     return np.asarray(pf.rendering.combine(pf.terms(scene, gbuffer), material)), gbuffer
-
-
-def test_interpolation_is_a_weighted_sum():
-    spread = Interpolation(jnp.array([[0, 2]]), floats([[0.25, 0.75]]))
-    near(spread(floats([[4.0, 0], [9, 9], [0, 8]])), [[1, 6]])
 
 
 def test_phong_shading_lights_the_pixels():

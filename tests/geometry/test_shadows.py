@@ -165,11 +165,6 @@ def test_a_scene_with_shadows_wants_a_buffer_with_its_shadows():
             pf.render(scene, pf.Material(), gbuffer=gbuffer)
 
 
-def test_without_lights_there_are_no_shadows():
-    scene = pf.Scene(FLOOR, VIEW, ambient=0.5, shadows=True)
-    near(pf.render(scene, pf.Material(ambient=1)), np.full((20, 20, 3), 0.5))
-
-
 def test_a_ball_is_in_the_way_of_its_own_back():
     lights = (pf.DirectionalLight((0, 1, 0)), pf.PointLight((0, 0, 0)))
     gbuffer = pf.geometry.trace(

@@ -203,14 +203,6 @@ def test_a_gbuffer_is_used_again():
     near(image, np.broadcast_to([0.2, 0.3, 0.4], (5, 6, 3)))
 
 
-def test_many_lights():
-    """Twenty lights of a twentieth are one light."""
-    twenty = [pf.DirectionalLight((1, 1, 2), 0.05)] * 20
-    scene = pf.Scene(pf.Sphere(), BALL.camera, twenty)
-    one = pf.Scene(pf.Sphere(), BALL.camera, pf.DirectionalLight((1, 1, 2)))
-    near(pf.render(scene, PLASTIC), pf.render(one, PLASTIC), LOOSE)
-
-
 def test_jit():
     image = jax.jit(lambda material: pf.render(BALL, material))(PLASTIC)
     near(image, pf.render(BALL, PLASTIC))
@@ -226,17 +218,6 @@ def test_vmap_over_materials():
     assert images.shape == (3, 5, 6, 3)
     for image, material in zip(images, several, strict=True):
         near(image, pf.render(BALL, material))
-
-
-def test_vmap_over_light_directions():
-    def lit(direction):
-        sun = pf.DirectionalLight(direction)
-        return pf.render(pf.Scene(pf.Sphere(), BALL.camera, sun), PLASTIC)
-
-    directions = floats([(0, 0, 1), (1, 0, 1), (0, 2, -1)])
-    images = jax.vmap(lit)(directions)
-    for image, direction in zip(images, directions, strict=True):
-        near(image, lit(direction))
 
 
 def test_a_material_map():

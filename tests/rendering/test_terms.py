@@ -147,15 +147,6 @@ def test_what_the_terms_are():
     near(scaled.diffuse, np.array([0.2, 0.3, 0.4]) / np.pi)
 
 
-def test_no_lights():
-    found = point_terms(
-        (), floats([0.3] * 3), pf.Phong(), floats([0] * 3), unit(0, 0, 1), unit(0, 0, 1)
-    )
-    assert found.cosine.shape == (0,) and found.strength.shape == (0, 3)
-    near(found.specular(floats(5.0)), [0, 0, 0])
-    near(combine(found, pf.Material(ambient=0.5, emission=0.1)), [0.25] * 3)
-
-
 @pytest.mark.parametrize("count", [1, MAX_UNROLLED - 1, MAX_UNROLLED + 3])
 def test_highlights_of_all_lights_add_up(count):
     """Also of more lights than are written out, and so do their slopes in f."""

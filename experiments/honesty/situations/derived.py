@@ -105,7 +105,7 @@ def profiled(
 
 
 def answer_of_profile(fit: pf.Fit, label: str, truth: float) -> DrawAnswer:
-    """A profile's interval, and the standard error that a symmetric one would have."""
+    """A profile's interval; the error is half its width in units of Student's t."""
     low, high = fit.profile(label, levels=(LEVEL,)).intervals[LEVEL]
     error = (high - low) / 2 / student_reach(LEVEL, fit.degrees_of_freedom)
     estimate = fit[label]
