@@ -59,7 +59,6 @@ def test_what_is_typed_is_there():
 def test_pages_run_as_they_stand(page, tmp_path, capsys):
     """In an empty folder; what installs something is left to whoever installs."""
     if page.stem == "cluster":
-        pytest.importorskip("zarr")
         pytest.importorskip("distributed")
     names: dict[str, Any] = {}
     with contextlib.chdir(tmp_path):

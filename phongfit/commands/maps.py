@@ -189,7 +189,7 @@ def main(options: Options) -> int:
 
 @contextlib.contextmanager
 def _resumable(options: Options) -> Iterator[None]:
-    """Tell in an interrupt's message that the same command continues the work."""
+    """Add to an interrupt's message that the same command continues the work."""
     try:
         yield
     except KeyboardInterrupt as stop:

@@ -66,7 +66,7 @@ def check_stored(options: "Options") -> None:
 
     **Raises:** `ValueError` that names the option.
     """
-    whole = "which is found with all images in memory"
+    whole = "since a shared one is found with all images in memory"
     for name, usual, why in (
         ("highlight", ("own",), whole),
         ("tile_pixels", (None,), "since chunks or shards are read as a whole"),

@@ -125,16 +125,7 @@ def find_images(path: str | os.PathLike[str]) -> "Array":
     path = _reachable(path)
     with _blaming(path, "read"):
         node = zarr.open(path, mode="r", zarr_format=3)
-    found = open_array(path, "" if isinstance(node, zarr.Array) else IMAGES)
-    check_images(found, path)
-    return found
-
-
-def check_images(array: "Array", path: str) -> None:
-    """Check that an array has the shape and the type of images.
-
-    **Raises:** `ValueError` that names the expected shape or types.
-    """
+    array = open_array(path, "" if isinstance(node, zarr.Array) else IMAGES)
     if array.ndim != 4 or array.shape[-1] != 3 or 0 in array.shape:
         raise ValueError(
             f"{path}: expected images of shape (light, y, x, 3), got {array.shape}"
@@ -144,6 +135,7 @@ def check_images(array: "Array", path: str) -> None:
             f"{path}: expected floats, or whole numbers of 8 or 16 bits without a "
             f"sign, got {array.dtype}"
         )
+    return array
 
 
 def place_of(array: "Array") -> str:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import zarr
 
 import phongfit as pf
 from phongfit.cli import main
@@ -47,7 +48,6 @@ def copy(brass, tmp_path) -> Path:
 @pytest.fixture
 def stored(copy) -> Path:
     """The data set's images as a zarr array beside its scene.json."""
-    zarr = pytest.importorskip("zarr")
     images = np.stack(pf.read_dataset(copy).images)
     zarr.create_array(copy / "stack.zarr", data=images, chunks=(1, 8, 8, 3))
     return copy / "stack.zarr"

@@ -1,6 +1,5 @@
 """What help texts say can be typed as it stands."""
 
-import importlib.util
 import re
 import shlex
 import webbrowser
@@ -8,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import zarr
 
 import phongfit as pf
 from phongfit import cli
@@ -17,8 +17,6 @@ from tests.calibration.studio import Ball, Studio, directions
 from tests.calibration.test_response import EXPOSURES, patches
 from tests.fitting.texels.scenes import scenes
 
-# What an extra installs, which whoever has not got it need not miss.
-ZARR = importlib.util.find_spec("zarr") is not None
 CUP = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 LAMPS = directions(4)
 WIDTH, HEIGHT, FOV = 960, 720, 14.0
@@ -72,10 +70,8 @@ def dome(folder: Path) -> None:
         image = pf.render(scene, pf.Material(0.5, 0.3, 20.0, 0.0))
         pf.write_image(folder / name, image, "srgb")
     pf.write_lp(folder / "dome.lp", names, directions(8))
-    if ZARR:
-        zarr = importlib.import_module("zarr")
-        images = np.stack([pf.read_image(folder / name, "srgb") for name in names])
-        zarr.create_array(folder / "stack.zarr", data=images)
+    images = np.stack([pf.read_image(folder / name, "srgb") for name in names])
+    zarr.create_array(folder / "stack.zarr", data=images)
 
 
 def textured(folder: Path) -> None:
@@ -124,8 +120,7 @@ def test_examples_run_in_an_empty_folder(tmp_path, monkeypatch, capsys):
     ran = []
     for command in ("", *cli.COMMANDS):
         for words in examples(command):
-            with_zarr = any(".zarr" in word for word in words)
-            if words not in ran and (ZARR or not with_zarr):
+            if words not in ran:
                 ran.append(words)
                 status = cli.main(words)
                 assert not status, (words, capsys.readouterr().err)

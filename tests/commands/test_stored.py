@@ -5,6 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
+import zarr
 from PIL import Image
 
 import phongfit as pf
@@ -13,8 +14,6 @@ from phongfit.files.lp import write_lp
 from phongfit.maps.folder import load_folder
 from tests.commands.conftest import FEW, SIDE, files_in
 from tests.maps.synthetic import same
-
-zarr = pytest.importorskip("zarr")
 
 
 @pytest.mark.extended

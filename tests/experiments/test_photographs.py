@@ -6,8 +6,6 @@ import pytest
 import phongfit as pf
 from experiments.benchmark import photographs
 
-pytest.importorskip("zarr")
-
 
 @pytest.mark.extended
 def test_both_kinds_come_to_the_maps_of_the_ball(tmp_path, monkeypatch):

@@ -13,6 +13,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import zarr
 
 import phongfit as pf
 from phongfit.files.coded import Coded
@@ -25,7 +26,6 @@ from phongfit.maps.cluster import dask_client, fit_stored_maps
 from phongfit.maps.pixel.tile import BLOCK
 from tests.maps.synthetic import Stack, make_stack, same
 
-zarr = pytest.importorskip("zarr")
 pytestmark = [
     pytest.mark.extended,
     pytest.mark.skipif(
