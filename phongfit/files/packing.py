@@ -150,7 +150,7 @@ class _Unpacker:
         kind = _class(name)
         fields = _fields(kind)
         # Older versions had fields that are gone; they were mostly `None`.
-        parts = {n: p for n, p in parts.items() if n in (fields or n) or p is not None}
+        parts = {n: p for n, p in parts.items() if p is not None or n in (fields or ())}
         missing = {name for name in fields or () if not hasattr(kind, name)}
         if fields is None or not missing <= set(parts) <= set(fields):
             name, got = shorten(name), shorten(", ".join(map(str, parts)))
