@@ -85,8 +85,7 @@ def describe(data: FitData, minimum: Minimum) -> Fit:
     # A lack of fit also correlates the channels, but it widens the errors already.
     alike = misfit.channel_correlation > CORRELATED and not misfit.significant
     if (alike or misfit.noise_differs) and problem.scatter is None:
-        correlation = misfit.channel_correlation if alike else 0.0
-        problem = with_noise_as_found(problem, y, correlation, misfit.noise_differs)
+        problem = with_noise_as_found(problem, y)
         found = dataclasses.replace(found, problem=problem)
         sums = sandwich_sums(problem, y)
     estimated = estimates(problem, y, misfit.inflation, in_user_units, sums)
