@@ -4,20 +4,13 @@ import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Int
 
 from phongfit.checks import untraced
 from phongfit.edge import checked
 from phongfit.fitting.encodings import with_encoding_doubts
-from phongfit.fitting.problem.inputs import (
-    is_number,
-)
 from phongfit.fitting.problem.losses import AbstractLoss
-from phongfit.fitting.problem.noise import find_plateau
-from phongfit.fitting.problem.posing import FitData, set_up
-from phongfit.fitting.problem.samples import gather, seen_pixels
+from phongfit.fitting.problem.posing import set_up
 from phongfit.fitting.problem.specification import (
     DEFAULT_PER_CHANNEL,
     DEFAULT_UNKNOWNS,
@@ -25,32 +18,11 @@ from phongfit.fitting.problem.specification import (
     Tie,
     Uncertain,
 )
-from phongfit.fitting.problem.unknowns import Unknowns, in_units
 from phongfit.fitting.result import Fit
-from phongfit.fitting.solve.edges import keep_off_edges
-from phongfit.fitting.solve.guesses import guess_places, look, moves_lights
-from phongfit.fitting.solve.jpeg import restore
-from phongfit.fitting.solve.search import SearchResult, search
-from phongfit.fitting.solve.solution import polish
-from phongfit.fitting.solve.start import (
-    NEAR,
-    ROBUST_NEAR,
-    ROBUST_SUBSET,
-    SUBSET,
-    choose_few,
-)
-from phongfit.fitting.summary import FittedImage, summarize
-from phongfit.fitting.uncertainty.statistics import sandwich_sums
-from phongfit.fitting.uncertainty.tiles import (
-    Measured,
-    Tiles,
-    sum_over_tiles,
-    tile_side,
-)
+from phongfit.fitting.solve.minimum import find_minimum
+from phongfit.fitting.summary import describe
 from phongfit.material import Material
-from phongfit.programs import program
 from phongfit.rendering.film import Film
-from phongfit.rendering.pixels import PixelTerms, resolve_terms
 from phongfit.scene import Scene
 
 
@@ -142,8 +114,7 @@ def fit(
     emission both unknown where they are degenerate; arrays that JAX traces
     (see [`refit`][] for derivatives of a fit).
     """
-    single = isinstance(scene, Scene)
-    if not single and isinstance(image, Iterable):
+    if not isinstance(scene, Scene) and isinstance(image, Iterable):
         # The images are read twice, which a generator does not allow.
         image = list(image)
     untraced(
@@ -175,146 +146,13 @@ def fit(
         loss=loss,
         max_steps=max_steps,
     )
-    data = {"mask": mask, "weights": weights, "noise": noise}
-    found = _fit_once(specification, scene, image, **data)
+    single, data = isinstance(scene, Scene), {"mask": mask, "weights": weights}
+    posed = set_up(specification, scene, image, noise=noise, **data)
+    found = describe(posed, find_minimum(posed))
 
     def fit_again(images: tuple[np.ndarray, ...], film: Film) -> Fit:
         other = dataclasses.replace(specification, film=film)
-        same = data | {"noise": None}
-        return _fit_once(other, scene, images[0] if single else images, **same)
+        posed = set_up(other, scene, images[0] if single else images, **data)
+        return describe(posed, find_minimum(posed))
 
     return with_encoding_doubts(found, fit_again)
-
-
-def _fit_once(
-    specification: Specification,
-    scene: Scene | Sequence[Scene],
-    image: Any,
-    *,
-    mask: Any,
-    weights: Any,
-    noise: Any,
-) -> Fit:
-    """The fit of checked options, whose warnings do not compare encodings."""
-    single, max_steps = isinstance(scene, Scene), specification.max_steps
-    setting = set_up(
-        specification, scene, image, mask=mask, weights=weights, noise=noise
-    )
-    layout, sources, films = setting.unknowns, setting.sources, setting.films
-    plateau = find_plateau([source.used() for source in sources])
-    seen, loss = seen_pixels(sources), specification.loss
-    near, most = (ROBUST_NEAR, ROBUST_SUBSET) if loss.robust else (NEAR, SUBSET)
-    looks = guesses = None
-    if moves_lights(layout):
-        looks = [look(*one) for one in zip(sources, seen, strict=True)]
-        guesses = guess_places(layout, looks, sources)
-    bright = None if looks is None else [one.excess for one in looks]
-    few = choose_few(sources, seen, near, most, bright)
-    found = search(
-        None if few is None else gather(sources, few),
-        lambda: gather(sources, seen),
-        layout,
-        loss,
-        films[0].clamp,
-        noise is not None,
-        max_steps,
-        guesses,
-    )
-    rival = found.rival
-    found, sources, at_edges = keep_off_edges(
-        found, sources, seen, noise is not None, max_steps
-    )
-    side = max(tile_side(*source.mask.shape) for source in sources)
-    noise_given, drawn = noise is not None, None
-    if any(film.jpeg is not None for film in films):
-        found, sources, drawn = restore(
-            found, sources, films, noise_given, max_steps, side
-        )
-    found = dataclasses.replace(found, y=polish(found.problem, found.y))
-    setting = dataclasses.replace(setting, sources=sources)
-    given = {"mask": mask, "weights": weights, "noise": noise}
-    # Directions are now relative to those of the best start.
-    layout = found.problem.unknowns
-    # JAX dispatches these asynchronously, until a value is read.
-    in_user_units = in_units(layout, found.y)
-    scenes = layout.scenes(in_user_units[0], tuple(source.scene for source in sources))
-    fitted_images = [
-        _fitted_image(setting, k, scene, in_user_units[0], found, side)
-        for k, scene in enumerate(scenes)
-    ]
-    sums = sandwich_sums(found.problem, found.y)
-    return summarize(
-        found,
-        in_user_units,
-        sums,
-        specification=specification,
-        films=films,
-        scenes=scenes,
-        # Copies, since the caller may change the arrays.
-        photographs=[
-            np.array(one, found.y.dtype) for one in ([image] if single else image)
-        ],
-        images=fitted_images,
-        side=side,
-        single=single,
-        noise_given=noise_given,
-        arrays=tuple(name for name, value in given.items() if not is_number(value)),
-        at_edges=at_edges,
-        plateau=plateau,
-        drawn=drawn,
-        rival=rival,
-    )
-
-
-def _fitted_image(
-    setting: FitData,
-    which: int,
-    scene: Scene,
-    entries: Array,
-    found: SearchResult,
-    side: int,
-) -> FittedImage:
-    """Fitted image and residuals of one image, and sums over tiles of `side` pixels."""
-    source, unknowns = setting.sources[which], setting.unknowns
-    mask, view = source.mask, source.pixels
-    if unknowns.of_scene:
-        mask, view = resolve_terms(scene)
-    step = None if source.step is None else jnp.asarray(source.step)
-    fitted, residual, tiles = _expose(
-        Measured(source.image, source.weight, step, found.problem.sigma),
-        mask,
-        view,
-        unknowns,
-        entries,
-        np.int32(which),
-        scene.background,
-        found.problem.loss,
-        setting.films[which].clamp,
-        side,
-    )
-    return FittedImage(fitted, residual, tiles)
-
-
-@program("clamp", "side")
-def _expose(
-    measured: Measured,
-    mask: Array,
-    view: PixelTerms,
-    unknowns: Unknowns,
-    entries: Array,
-    which: np.int32 | Int[Array, ""],
-    background: Array,
-    loss: AbstractLoss,
-    clamp: bool,
-    side: int,
-) -> tuple[Array, Array, Tiles]:
-    material = unknowns.as_material(entries)
-    exposure = unknowns.exposures(entries)[which]
-    light = view.radiance(material) * exposure
-    basis = view.basis(material.shininess)
-    shapes = basis[..., 1], basis[..., 2]
-    tiles = sum_over_tiles(measured, light, *shapes, loss, clamp, side)
-    light = jnp.clip(light, 0, 1) if clamp else light
-    fitted = jnp.where(mask[..., None], light, background[None, None])
-    residual = jnp.where(measured.weight > 0, measured.image - fitted, 0)
-    return fitted, residual, tiles

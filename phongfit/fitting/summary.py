@@ -1,34 +1,31 @@
-"""Make a [`Fit`][] from a solution: images, diagnostics, and warnings."""
+"""Describe the solution of a fit as a [`Fit`][]: images, errors, warnings."""
 
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Int
 
 from phongfit.codes import coded
-from phongfit.fitting.problem.noise import Plateau
-from phongfit.fitting.problem.parameters import EXPOSURE
+from phongfit.fitting.problem.losses import AbstractLoss
+from phongfit.fitting.problem.noise import find_plateau
+from phongfit.fitting.problem.posing import FitData
 from phongfit.fitting.problem.problem import Problem
-from phongfit.fitting.problem.specification import Specification
+from phongfit.fitting.problem.unknowns import Unknowns, in_units
 from phongfit.fitting.result import Fit, as_materials
-from phongfit.fitting.solve.jpeg import Drawn
-from phongfit.fitting.solve.search import Rival, SearchResult
+from phongfit.fitting.solve.minimum import Minimum
 from phongfit.fitting.uncertainty.estimate import estimates
 from phongfit.fitting.uncertainty.grid import grid_significance
-from phongfit.fitting.uncertainty.misfit import (
-    CORRELATED,
-    Misfit,
-    find_misfit,
-)
+from phongfit.fitting.uncertainty.misfit import CORRELATED, Misfit, find_misfit
 from phongfit.fitting.uncertainty.outliers import outlier_words
 from phongfit.fitting.uncertainty.rejected import rejected_highlights, without_rejected
 from phongfit.fitting.uncertainty.scores import with_noise_as_found
 from phongfit.fitting.uncertainty.statistics import SandwichSums, sandwich_sums
-from phongfit.fitting.uncertainty.tiles import Tiles
+from phongfit.fitting.uncertainty.tiles import Measured, Tiles, sum_over_tiles
 from phongfit.fitting.uncertainty.warnings import (
     bound_words,
     clipped_words,
@@ -40,69 +37,41 @@ from phongfit.fitting.uncertainty.warnings import (
     rival_words,
     spread_words,
 )
-from phongfit.rendering.film import Film
+from phongfit.programs import program
+from phongfit.rendering.pixels import PixelTerms, resolve_terms
 from phongfit.scene import Scene
 
 # Fraction by which χ² must exceed its expectation for the given noise to warn.
 LEAST_EXCESS = 0.1
 
 
-class FittedImage(NamedTuple):
+class _FittedImage(NamedTuple):
     """A fitted image, its residuals, and their sums over tiles."""
 
-    fitted: Float[Array, "height width 3"]
-    residual: Float[Array, "height width 3"]
+    fitted: np.ndarray
+    residual: np.ndarray
     tiles: Tiles
 
 
-def summarize(
-    found: SearchResult,
-    in_user_units: tuple[Array, Array],
-    sums: SandwichSums,
-    *,
-    specification: Specification,
-    films: tuple[Film, ...],
-    scenes: tuple[Scene, ...],
-    photographs: list[np.ndarray],
-    images: list[FittedImage],
-    side: int,
-    single: bool,
-    noise_given: bool,
-    arrays: tuple[str, ...],
-    at_edges: tuple[str, ...],
-    plateau: Plateau | None,
-    drawn: Sequence[Drawn] | None = None,
-    rival: Rival | None = None,
-) -> Fit:
-    """The result of a fit.
-
-    **Arguments:**
-
-    - `found`: the solution.
-    - `in_user_units`: the solution in the user's units: see [`in_units`][].
-    - `sums`: sums over the samples at the solution: see [`sandwich_sums`][].
-    - `specification`: the options of the fit.
-    - `films`: the film of each image.
-    - `photographs`: images (H, W, 3) as they were given.
-    - `scenes`, `images`: the scenes and images as fitted.
-    - `side`: pixels along the side of a tile.
-    - `single`: whether one image was given, not a sequence.
-    - `noise_given`: whether the noise level was given.
-    - `arrays`: names of the arguments that were given as arrays.
-    - `at_edges`: warnings about pixels at moving edges.
-    - `plateau`: the value at which the images were cut off, if that is below white.
-    - `drawn`: sums over tiles of simulated residuals: see [`find_misfit`][].
-    - `rival`: another minimum at which the search ended.
-    """
-    problem, unknowns = found.problem, found.problem.unknowns
-    # JAX computes the images and sums meanwhile.
+def describe(data: FitData, minimum: Minimum) -> Fit:
+    """The result of a fit: values with errors, images, diagnostics and warnings."""
+    found, noise_given = minimum.found, data.noise_given
+    problem, unknowns, y = found.problem, found.problem.unknowns, found.y
+    # JAX dispatches these asynchronously, until a value is read.
+    in_user_units = in_units(unknowns, y)
+    scenes = tuple(source.scene for source in minimum.sources)
+    scenes = unknowns.scenes(in_user_units[0], scenes)
+    dispatched = [
+        _fitted_image(data, minimum, k, scene, in_user_units[0])
+        for k, scene in enumerate(scenes)
+    ]
+    sums = sandwich_sums(problem, y)
     weight = _typical_weight(problem)
-    fitted = [np.asarray(one.fitted) for one in images]
-    residuals = [np.asarray(one.residual) for one in images]
     # As NumPy arrays, which are summed ten times as fast as JAX's.
-    tiles = [jax.tree.map(np.asarray, one.tiles) for one in images]
-    misfit = find_misfit(tiles, side, drawn)
-    blocks = 0.0 if drawn else grid_significance([t.grid for t in tiles])
+    images = [_FittedImage(*jax.tree.map(np.asarray, one)) for one in dispatched]
+    tiles = [one.tiles for one in images]
+    misfit = find_misfit(tiles, data.side, minimum.drawn)
+    blocks = 0.0 if minimum.drawn else grid_significance([t.grid for t in tiles])
     if bool(sums.exact) and not noise_given:
         # Residuals are rounding of the arithmetic, so they cannot show a lack of fit.
         misfit, blocks = Misfit(), 0.0
@@ -116,19 +85,14 @@ def summarize(
     # A lack of fit also correlates the channels, but it widens the errors already.
     alike = misfit.channel_correlation > CORRELATED and not misfit.significant
     if (alike or misfit.noise_differs) and problem.scatter is None:
-        correlation = misfit.channel_correlation if alike else 0.0
-        problem = with_noise_as_found(
-            problem, found.y, correlation, misfit.noise_differs
-        )
+        problem = with_noise_as_found(problem, y)
         found = dataclasses.replace(found, problem=problem)
-        sums = sandwich_sums(problem, found.y)
-    estimated = estimates(problem, found.y, misfit.inflation, in_user_units, sums)
-    rejected = rejected_highlights(problem, found.y)
+        sums = sandwich_sums(problem, y)
+    estimated = estimates(problem, y, misfit.inflation, in_user_units, sums)
+    rejected = rejected_highlights(problem, y)
     estimated = without_rejected(estimated, unknowns, rejected)
     entries = np.array(in_user_units[0])
-    exposure = np.ones(len(images))
-    if unknowns.exposed:
-        exposure = np.array(unknowns.parts(entries)[EXPOSURE])
+    exposure = np.array(unknowns.exposures(entries))
     entries[unknowns.reported] = estimated.values
     errors = np.zeros_like(entries)
     errors[unknowns.reported] = estimated.errors
@@ -136,13 +100,17 @@ def summarize(
     converged = bool(found.converged)
     # No warning about the noise is due in these cases.
     noise_is_irrelevant = noise_given or estimated.unidentified.all()
+
+    def given(every: Sequence[Any]) -> Any:
+        return every[0] if data.single else tuple(every)
+
     return Fit(
-        specification=specification,
-        films=films,
+        specification=data.specification,
+        films=data.films,
         material=material,
         stderr=stderr,
-        scene=scenes[0] if single else scenes,
-        exposure=exposure.ravel(),
+        scene=given(scenes),
+        exposure=exposure,
         labels=unknowns.labels,
         values=estimated.values,
         errors=estimated.errors,
@@ -151,12 +119,12 @@ def summarize(
         unidentified=estimated.unidentified,
         bounds=unknowns.bounds.copy(),
         tied=unknowns.tied.copy(),
-        photographs=photographs[0] if single else tuple(photographs),
-        fitted=fitted[0] if single else tuple(fitted),
-        residuals=residuals[0] if single else tuple(residuals),
+        photographs=given(data.photographs),
+        fitted=given([one.fitted for one in images]),
+        residuals=given([one.residual for one in images]),
         noise=float(problem.sigma) / math.sqrt(weight),
         noise_given=noise_given,
-        arrays=arrays,
+        arrays=data.arrays,
         n_samples=samples,
         n_images=len(images),
         degrees_of_freedom=max(effective + unknowns.n_priors - estimated.free, 0),
@@ -169,23 +137,73 @@ def summarize(
         warnings=(
             *(() if converged else (coded("not-converged", f"{_UNDONE}: {_STOPPED}"),)),
             *estimated.reasons,
-            *at_edges,
-            *plateau_words(plateau, films[0]),
+            *minimum.at_edges,
+            *plateau_words(
+                find_plateau([one.used() for one in data.sources]), data.films[0]
+            ),
             *bound_words(estimated, unknowns),
             *prior_words(estimated, unknowns, misfit.inflation),
-            *rival_words(estimated, unknowns, rival, misfit.inflation),
+            *rival_words(estimated, unknowns, found.rival, misfit.inflation),
             # If all samples are white, a lack of fit cannot be judged.
             *(misfit_words(misfit, len(images)) if np.any(sums.inside) else ()),
             *grid_words(blocks),
-            *coarse_words(films),
+            *coarse_words(data.films),
             *spread_words(spread),
             *([] if noise_is_irrelevant else clipped_words(sums, effective, samples)),
             # A deviation that neighbours share is a lack of fit, not outliers.
-            *(() if _is_shared(misfit) else outlier_words(problem, found.y, sums)),
+            *(() if _is_shared(misfit) else outlier_words(problem, y, sums)),
         ),
         region=estimated.region,
         solution=found,
     )
+
+
+def _fitted_image(
+    data: FitData, minimum: Minimum, which: int, scene: Scene, entries: Array
+) -> tuple[Array, Array, Tiles]:
+    """Fitted image and residuals of one image, and sums over its tiles."""
+    source, problem = minimum.sources[which], minimum.found.problem
+    mask, view = source.mask, source.pixels
+    if problem.unknowns.of_scene:
+        mask, view = resolve_terms(scene)
+    step = None if source.step is None else jnp.asarray(source.step)
+    return _expose(
+        Measured(source.image, source.weight, step, problem.sigma),
+        mask,
+        view,
+        problem.unknowns,
+        entries,
+        np.int32(which),
+        scene.background,
+        problem.loss,
+        data.films[which].clamp,
+        data.side,
+    )
+
+
+@program("clamp", "side")
+def _expose(
+    measured: Measured,
+    mask: Array,
+    view: PixelTerms,
+    unknowns: Unknowns,
+    entries: Array,
+    which: np.int32 | Int[Array, ""],
+    background: Array,
+    loss: AbstractLoss,
+    clamp: bool,
+    side: int,
+) -> tuple[Array, Array, Tiles]:
+    material = unknowns.as_material(entries)
+    exposure = unknowns.exposures(entries)[which]
+    light = view.radiance(material) * exposure
+    basis = view.basis(material.shininess)
+    shapes = basis[..., 1], basis[..., 2]
+    tiles = sum_over_tiles(measured, light, *shapes, loss, clamp, side)
+    light = jnp.clip(light, 0, 1) if clamp else light
+    fitted = jnp.where(mask[..., None], light, background[None, None])
+    residual = jnp.where(measured.weight > 0, measured.image - fitted, 0)
+    return fitted, residual, tiles
 
 
 _CONVERGED = "steps and changes of the residuals fell below the tolerance"

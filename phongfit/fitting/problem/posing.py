@@ -11,7 +11,12 @@ from jaxtyping import Array
 
 from phongfit.checks import untraced
 from phongfit.edge import checked
-from phongfit.fitting.problem.inputs import Observation, as_photographs, as_scenes
+from phongfit.fitting.problem.inputs import (
+    Observation,
+    as_photographs,
+    as_scenes,
+    is_number,
+)
 from phongfit.fitting.problem.layout import make_unknowns
 from phongfit.fitting.problem.noise import find_film, rounding_steps
 from phongfit.fitting.problem.problem import Problem
@@ -23,6 +28,9 @@ from phongfit.geometry.surfaces import GBuffer
 from phongfit.rendering.film import Film, as_films
 from phongfit.rendering.pixels import PixelTerms, resolve, resolve_terms
 from phongfit.scene import Scene
+
+# Largest side of a tile in pixels, and most tiles with smaller sides.
+LARGEST, MOST_TILES = 8, 1024
 
 
 @checked
@@ -41,7 +49,8 @@ def make_problem(
     `log_likelihood(y)`, `log_prior(y)` and `material(y)` are pure, and go through
     `jax.jit`, `jax.vmap` and `jax.grad`. `unknowns` describes the vector: `y_labels`,
     `start`, `lower` and `upper`. An exponent is represented by its logarithm: the
-    number called `log_shininess` is $\\log f$.
+    number called `log_shininess` is $\\log f$. Arrays that are `uncertain` are unknowns
+    too, each with its prior.
 
     **Arguments:**
 
@@ -79,11 +88,35 @@ def make_problem(
 
 @dataclasses.dataclass(frozen=True)
 class FitData:
-    """The checked input of a fit: unknowns, images with their geometry, and films."""
+    """The question of a fit, checked: options, unknowns, images with their geometry.
 
+    - `photographs`: copies of the images as they were given.
+    - `single`: whether one image was given, not a sequence.
+    - `noise_given`: whether the noise level was given.
+    - `arrays`: names of the arguments that were given as arrays.
+    """
+
+    specification: Specification
     unknowns: Unknowns
     sources: list[Source]
     films: tuple[Film, ...]
+    photographs: tuple[np.ndarray, ...]
+    single: bool
+    noise_given: bool
+    arrays: tuple[str, ...]
+
+    @property
+    def side(self) -> int:
+        """Pixels along the side of a tile: see [`tile_side`][]."""
+        return max(tile_side(*source.mask.shape) for source in self.sources)
+
+
+def tile_side(height: int, width: int) -> int:
+    """Pixels along the side of a tile: a power of two, smaller for small images."""
+    side = 1
+    while side < LARGEST and -(-height // side) * -(-width // side) > MOST_TILES:
+        side *= 2
+    return side
 
 
 def set_up(
@@ -111,7 +144,8 @@ def set_up(
     moving = layout.moves_geometry or (shadows and layout.moves_lights)
     # Dispatched here: JAX computes it while the images are checked.
     seen = [_geometry(one, layout.relights and not moving) for one in scenes]
-    scene = scene if isinstance(scene, Scene) else scenes
+    single = isinstance(scene, Scene)
+    scene = scene if single else scenes
     photographs = as_photographs(scene, image, mask, weights, noise)
     films = _checked_films(specification.film, photographs)
     rounded = any(film.bits is not None for film in films)
@@ -120,7 +154,20 @@ def set_up(
     ]
     _check_samples(sources, layout)
     _check_constants(layout, sources)
-    return FitData(layout, sources, films)
+    given = {"mask": mask, "weights": weights, "noise": noise}
+    return FitData(
+        specification=specification,
+        unknowns=layout,
+        sources=sources,
+        films=films,
+        photographs=tuple(
+            np.array(one, jnp.result_type(float))
+            for one in ([image] if single else image)
+        ),
+        single=single,
+        noise_given=noise is not None,
+        arrays=tuple(name for name, value in given.items() if not is_number(value)),
+    )
 
 
 @functools.cache

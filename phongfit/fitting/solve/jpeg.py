@@ -189,12 +189,6 @@ class _Plate(NamedTuple):
         shown = np.clip(canvas.reshape(self.used.shape)[self.box], 0, 1)
         return encode(shown, self.film.encoding) * 255
 
-    def brightest(self, light: Float[np.ndarray, "3 n"]) -> float:
-        """Largest level of the box with this light on the surface."""
-        around = self.around.reshape(self.used.shape)[self.box]
-        most = np.clip(max(around.max(), light.max(initial=0)), 0, 1)
-        return 255 * float(encode(most, self.film.encoding))
-
     def read(
         self, levels: Float[np.ndarray, "rows columns 3"]
     ) -> Float[np.ndarray, "3 n"]:
@@ -250,13 +244,12 @@ def _surroundings(
 
 def _blurred(image: np.ndarray) -> np.ndarray:
     """Means over a triangular window."""
-    ramp = np.arange(1, AROUND + 1, dtype=image.dtype)
-    window = np.concatenate([ramp, [AROUND + 1], ramp[::-1]]) / (AROUND + 1) ** 2
+    # Imported here, since SciPy takes long to import and few fits need it.
+    from scipy.ndimage import convolve1d
+
+    window = (AROUND + 1 - abs(np.arange(-AROUND, AROUND + 1))) / (AROUND + 1) ** 2
     for axis in (0, 1):
-        wide = np.moveaxis(image, axis, 0)
-        ends = np.pad(wide, [(AROUND, AROUND), (0, 0), (0, 0)])
-        rows = [w * ends[k : k + len(wide)] for k, w in enumerate(window)]
-        image = np.moveaxis(np.sum(rows, axis=0), 0, axis)
+        image = convolve1d(image, window, axis, mode="constant")
     return image
 
 
@@ -268,13 +261,6 @@ def _in_blocks(
     padded = np.pad(picture, [(0, -height % down), (0, -width % across), (0, 0)])
     blocks = padded.reshape(-(-height // down), down, -1, across, channels)
     return blocks.sum(axis=(1, 3), dtype=float)
-
-
-class _Another(NamedTuple):
-    """Random scale of all levels, and shift of red, green and blue."""
-
-    share: np.float32
-    shift: Float[np.ndarray, "3"]
 
 
 class _Draws(NamedTuple):
@@ -381,10 +367,11 @@ class _Stage:
             rng, errors = np.random.default_rng(seed), np.zeros_like(self.light)
             drawn = rng.standard_normal(self.light.shape, np.float32)
             light = self.light + (noise * drawn).astype(kind)
-            brightest = max(p.brightest(light[:, p.columns]) for p in self.plates)
-            another = _another([p.film for p in self.plates], brightest, rng)
-            for plate in self.plates:
-                shown = _developed(plate, light[:, plate.columns], another)
+            levels = [p.levels(light[:, p.columns]) for p in self.plates]
+            films = [p.film for p in self.plates]
+            another = _another(films, max(float(one.max()) for one in levels), rng)
+            for plate, one in zip(self.plates, levels, strict=True):
+                shown = _developed(plate, light[:, plate.columns], one, *another)
                 errors[:, plate.columns] = shown - predicted[:, plate.columns]
             yield np.where(self.used, errors, 0)
 
@@ -468,12 +455,19 @@ def _look(problem: Problem, y: Float[Array, " n"]) -> tuple[Array, Linearization
 
 
 def _developed(
-    plate: _Plate, light: Float[np.ndarray, "3 n"], another: _Another
+    plate: _Plate,
+    light: Float[np.ndarray, "3 n"],
+    levels: Float[np.ndarray, "rows columns 3"],
+    share: np.float32,
+    shift: Float[np.ndarray, "3"],
 ) -> Float[np.ndarray, "3 n"]:
-    """Light on the surface after storage in a file with the plate's film."""
-    film, (share, shift) = plate.film, another
+    """Light on the surface after storage in a file with the plate's film.
+
+    **Arguments:** `levels`: those of the image; `share`, `shift`: see [`_another`][].
+    """
+    film = plate.film
     if film.jpeg is not None:
-        levels = compressed(share * plate.levels(light) + shift, film.jpeg)
+        levels = compressed(share * levels + shift, film.jpeg)
         return plate.read((levels - shift) / share)
     shown = np.clip(light, 0, 1) if film.clamp else light
     if film.bits is None:
@@ -485,15 +479,18 @@ def _developed(
 
 def _another(
     films: Sequence[Film], brightest: float, rng: np.random.Generator
-) -> _Another:
-    """A random scale and shift of levels, at which no further sample exceeds white."""
+) -> tuple[np.float32, Float[np.ndarray, "3"]]:
+    """A random scale of all levels and shift of red, green and blue.
+
+    No further sample exceeds white.
+    """
     known = [film.jpeg for film in films if film.jpeg is not None]
     widest = max([1.0, *(jpeg.widest for jpeg in known)])
     shift = rng.uniform(-widest, widest, 3).astype(np.float32)
     if all(len(jpeg.tables) == 1 for jpeg in known):
         shift[:] = shift[0]
     most = min(1 + BRIGHTER, (255 - widest) / max(brightest, 1.0))
-    return _Another(np.float32(most - 2 * BRIGHTER * rng.uniform()), shift)
+    return np.float32(most - 2 * BRIGHTER * rng.uniform()), shift
 
 
 def _root(function: Callable[[float], float], scale: float) -> float:

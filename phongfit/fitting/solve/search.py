@@ -77,21 +77,17 @@ class Rival(NamedTuple):
 
 
 class _SearchState(NamedTuple):
-    """State of a search; the noise level is that of a sample of weight 1.
-
-    `pace` has the sizes of the solver's last two steps; 0 if they are not known.
-    """
+    """State of a search; the noise level is that of a sample of weight 1."""
 
     y: Float[Array, " n"]
     sigma: Float[Array, ""]
     converged: Bool[Array, ""]
     steps: Int[Array, ""]
-    pace: Float[Array, "2"]
 
 
 def _first_state(y: Float[Array, " n"], sigma: Float[Array, ""]) -> _SearchState:
     """The state before the first solve."""
-    return _SearchState(y, sigma, jnp.array(False), jnp.array(0), jnp.zeros(2, y.dtype))
+    return _SearchState(y, sigma, jnp.array(False), jnp.array(0))
 
 
 def search(
@@ -197,7 +193,7 @@ def _end(
     noise_given: bool,
     near: bool = False,
 ) -> SearchResult:
-    y, sigma, converged, steps, _ = _settle(
+    y, sigma, converged, steps = _settle(
         problem, state, max_steps, noise_given, near=near
     )
     samples, unknowns = problem.samples, problem.unknowns
@@ -473,12 +469,12 @@ def _settle(
         state: _SearchState, last: Bool[Array, ""], coarse: Float[Array, ""]
     ) -> tuple[_SearchState, Bool[Array, ""]]:
         here = dataclasses.replace(problem, sigma=state.sigma)
-        solution = solve(here, state.y, max_steps, state.pace, coarse)
+        solution = solve(here, state.y, max_steps, coarse)
         steps = state.steps + solution.steps
         sigma = state.sigma
         if not noise_given:
             sigma = jnp.where(last, sigma, _noise(here, solution))
-        now = _SearchState(solution.y, sigma, solution.converged, steps, solution.pace)
+        now = _SearchState(solution.y, sigma, solution.converged, steps)
         return now, _depends_on_noise(problem, solution)
 
     exact = jnp.zeros((), state.y.dtype)

@@ -139,15 +139,11 @@ def _tolerance(dtype: Any) -> float:
 def make_solver(
     problem: Problem,
     dtype: Any,
-    pace: Float[Array, "2"] | None = None,
     coarse: Float[Array, ""] | float = 0.0,
 ) -> BoundedLevenbergMarquardt:
     """The solver for a problem's box, as exact as the number type allows.
 
-    **Arguments:**
-
-    - `pace`: see [`BoundedLevenbergMarquardt`][].
-    - `coarse`: a larger tolerance that is enough.
+    **Arguments:** `coarse`: a larger tolerance that is enough.
     """
     tolerance = jnp.maximum(coarse, _tolerance(dtype))
     return BoundedLevenbergMarquardt(
@@ -156,22 +152,17 @@ def make_solver(
         lower=problem.unknowns.lower,
         upper=problem.unknowns.upper,
         foresee=True,
-        pace=jnp.zeros(2, dtype) if pace is None else pace,
     )
 
 
 class Solution(eqx.Module):
-    """Point at which the solver stopped, whether it converged, and sums of residuals.
-
-    `pace` has the sizes of its last two steps.
-    """
+    """Point where the solver stopped, whether it converged, and sums of residuals."""
 
     y: Float[Array, " n"]
     cost: Float[Array, ""]
     residual_sums: ResidualSums
     steps: Int[Array, ""]
     converged: Array
-    pace: Float[Array, "2"]
 
 
 @program("max_steps")
@@ -179,17 +170,13 @@ def solve(
     problem: Problem,
     start: Float[Array, " n"],
     max_steps: int,
-    pace: Float[Array, "2"] | None = None,
     coarse: Float[Array, ""] | float = 0.0,
 ) -> Solution:
     """Bounded Levenberg-Marquardt from `start`; failure is data, not an exception.
 
-    **Arguments:**
-
-    - `pace`: that of an earlier solution near this one.
-    - `coarse`: see [`make_solver`][].
+    **Arguments:** `coarse`: see [`make_solver`][].
     """
-    solver = make_solver(problem, start.dtype, pace, coarse)
+    solver = make_solver(problem, start.dtype, coarse)
     solution = optx.least_squares(
         few_residuals,
         solver,
@@ -208,5 +195,4 @@ def solve(
     last = state.aux
     squares = last.squares * jnp.maximum(1 - saved, 0)
     residual_sums = ResidualSums(squares, last.share, last.floor)
-    pace = solver.pace_at(state)
-    return Solution(solution.value, cost, residual_sums, steps, converged, pace)
+    return Solution(solution.value, cost, residual_sums, steps, converged)

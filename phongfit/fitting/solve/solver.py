@@ -6,6 +6,7 @@
 optimistix has no bounds for least squares, and ignores those in `options` silently.
 """
 
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -264,7 +265,6 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
     search: Any
     verbose: Callable[..., None]
     foresee: bool
-    pace: Float[Array, "2"]
 
     def __init__(
         self,
@@ -288,9 +288,11 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
         - `foresee`: whether to end with a step after which, by the rate at which steps
             shrink, all further steps would be below tolerance. Its end is not
             evaluated, which saves an evaluation.
-        - `pace`: sizes of the last two steps of an earlier run that ended nearby, from
-            its `pace_at`, so that the first step may be the last; default unknown.
+        - `pace`: has no effect; it goes with version 0.3.
         """
+        if pace is not None:
+            words = "pace: it has no effect, and will be removed in version 0.3"
+            warnings.warn(words, DeprecationWarning, stacklevel=2)
         self.rtol = rtol
         self.atol = atol
         self.norm = norm
@@ -298,7 +300,6 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
         self.search = RoundingTolerantTrustRegion()
         self.verbose = _silent
         self.foresee = foresee
-        self.pace = jnp.zeros(2) if pace is None else pace
 
     def terminate(
         self,
@@ -338,34 +339,19 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
 
         If steps shrink by a factor $\theta$, those after the next one sum up to $\theta
         / (1 - \theta)$ of it. This holds only near the solution, and for undamped
-        steps. For the first step of a run $\theta$ is taken from an earlier run, in
-        proportion to the step.
+        steps.
 
         ??? cite "Source"
             Hairer and Wanner, *Solving Ordinary Differential Equations II*, 1996,
             section IV.8.
         """
         previous, size, change = self._steps(state)
-        then, now = self.pace
-        last = jnp.where(previous > 0, previous, then)
-        share = size / jnp.where(last > 0, last, 1)
-        usual = now / jnp.where(then > 0, then, 1) * jnp.maximum(share, 1)
-        theta = jnp.where(previous > 0, share, usual)
-        near = (last > 0) & (theta < 0.1) & ~state.first_step
+        theta = size / jnp.where(previous > 0, previous, 1)
+        near = (previous > 0) & (theta < 0.1) & ~state.first_step
         undamped = state.search_state.step_size >= 1
         beyond = theta / (1 - theta) * jnp.maximum(size, change)
         accepted = state.num_steps_since_acceptance == 0
         return near & undamped & accepted & (beyond < 1)
-
-    def pace_at(self, state: Any) -> Float[Array, "2"]:
-        """Sizes of the last step and of the next one, in units of the tolerance.
-
-        The next one counts as at least 1, since smaller steps are rounding. Before the
-        second step the result is `pace`, the sizes of an earlier run.
-        """
-        previous, size, _ = self._steps(state)
-        here = jnp.stack([previous, jnp.maximum(size, 1)])
-        return jnp.where(previous > 0, here, self.pace)
 
     def _steps(self, state: Any) -> tuple[Scalar, Scalar, Scalar]:
         """Sizes of the last step, of the next one, and of its change of the residuals.

@@ -8,6 +8,7 @@ from jaxtyping import Array, Bool, Float
 
 from phongfit.codes import coded
 from phongfit.fitting.problem.losses import Linear
+from phongfit.fitting.problem.posing import tile_side
 from phongfit.fitting.texels.equations import light_of
 from phongfit.fitting.texels.job import IDENTIFIED, Few, Job, State
 from phongfit.fitting.texels.lit import BASIS, before_rounding
@@ -24,7 +25,6 @@ from phongfit.fitting.uncertainty.tiles import (
     Measured,
     Tiles,
     sum_over_tiles,
-    tile_side,
 )
 from phongfit.fitting.uncertainty.warnings import misfit_words, spread_words
 from phongfit.material import Material

@@ -1,19 +1,18 @@
-r"""Covariance of the scores if noise varies over an image or is shared by samples.
+r"""Covariance of the scores where noise varies over an image or is shared by samples.
 
 A fit with equal weights is unbiased for any noise, but its errors depend on it. They
-follow from the covariance of the sum of scores, $\sum_i
-J_i^\top \psi(r_i)$: here where samples of one level round alike, where the channels of
-a pixel share their noise, and where noise differs between channels or with light.
+follow from the covariance of the sum of scores, $\sum_i J_i^\top \psi(r_i)$. It is the
+sum of squares of each pixel's score, so that channels may share their noise, and noise
+may differ between channels or with light. Samples of one level round alike.
 
 ??? cite "Source"
     White, *A heteroskedasticity-consistent covariance matrix estimator*, Econometrica
-    48(4), 1980. Variances are a line along the light, as those of photons are: Carroll
-    and Ruppert, *Transformation and Weighting in Regression*, 1988, chapter 3.
+    48(4), 1980; Liang and Zeger, *Longitudinal data analysis using generalized linear
+    models*, Biometrika 73(1), 1986: clusters of residuals.
 """
 
 import dataclasses
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -21,119 +20,42 @@ from jaxtyping import Array, Float
 from phongfit.fitting.problem.noise import shared_rounding_variance
 from phongfit.fitting.problem.problem import Evaluation, Problem
 from phongfit.fitting.solve.sums import EXACT, linearize, linearized
-from phongfit.fitting.uncertainty.sandwich import threshold
 from phongfit.programs import program
 
-# Iterations of the weighted fit of a line to squared scores.
-PASSES = 8
-# Lower limit of the line, relative to the mean.
-LEAST = 0.02
 
-
-def with_noise_as_found(
-    problem: Problem, y: Float[Array, " n"], correlation: float, unequal: bool
-) -> Problem:
-    """The problem with a covariance of scores that is estimated from its residuals.
-
-    **Arguments:**
-
-    - `correlation`: correlation of the residuals of a pixel's channels.
-    - `unequal`: whether noise differs between channels, or with light.
-    """
-    found = _scores(problem, y, jnp.asarray(correlation, y.dtype), unequal)
-    covariance, steep, plain, variance = (np.asarray(part, float) for part in found)
+def with_noise_as_found(problem: Problem, y: Float[Array, " n"]) -> Problem:
+    """The problem with a covariance of scores that is estimated from its residuals."""
+    covariance, variance, gram = (np.asarray(p, float) for p in _by_pixel(problem, y))
     if problem.samples.step is not None:
         covariance = covariance + variance * shared_rounding(problem, y)
-    root = np.sqrt(np.diag(plain))
+    root = np.sqrt(np.diag(gram))
     root = np.where(root > 0, root, 1)
-    scale = np.outer(root, root)
-    scatter = covariance / scale
-    if problem.loss.robust:
-        # The covariance is later divided by a curvature that assumes one mean slope.
-        share = _quotient(plain / scale, steep / scale, float(jnp.finfo(y.dtype).eps))
-        scatter = share @ scatter @ share.T
-    return dataclasses.replace(problem, scatter=jnp.asarray(scatter, y.dtype))
+    scatter = jnp.asarray(covariance / np.outer(root, root), y.dtype)
+    return dataclasses.replace(problem, scatter=scatter)
 
 
-def _quotient(plain: np.ndarray, steep: np.ndarray, resolution: float) -> np.ndarray:
-    """plain · steep⁻¹ in the identified directions; 1 in others."""
-    values, vectors = np.linalg.eigh(plain)
-    identified = values > threshold(resolution)
-    half = vectors[:, identified] * np.sqrt(values[identified])
-    dual = vectors[:, identified] / np.sqrt(values[identified])
-    rest = vectors[:, ~identified] @ vectors[:, ~identified].T
-    return half @ np.linalg.inv(dual.T @ steep @ dual) @ dual.T + rest
-
-
-@program("unequal")
-def _scores(
-    problem: Problem,
-    y: Float[Array, " n"],
-    correlation: Float[Array, ""],
-    unequal: bool,
-) -> tuple[Array, Array, Array, Array]:
-    r"""Covariance of scores; $J^\top J$ with slopes and without; a score's variance."""
+@program()
+def _by_pixel(problem: Problem, y: Float[Array, " n"]) -> tuple[Array, Array, Array]:
+    r"""Sum of squared scores of pixels, mean square of a score, and $J^\top J$."""
     found = linearize(problem, y)
-    at, jacobian = found.at, found.jacobian
-    used = (problem.samples.weight > 0).astype(y.dtype)
-    score, slope = problem.loss.score(at.residual)
-    square, own = used * score**2, used * independent_variance(problem, at)
-    usual = jnp.sum(square) / jnp.maximum(jnp.sum(own), 1)
-    variance = usual if problem.loss.robust else jnp.ones_like(usual)
-    steepness, light = None, at.difference + problem.samples.target
-    if unequal:
-        own = own * jax.vmap(_along_light)(light, square / usual, own)
-    if unequal and problem.loss.robust:
-        mean = jnp.sum(used * slope) / jnp.maximum(jnp.sum(used), 1)
-        steepness = jax.vmap(_along_light)(light, used * slope / mean, used)
-    share = jacobian.local * jnp.sqrt(own)[:, None]
-    alike = jnp.where(jnp.eye(3, dtype=bool), 1, correlation)
-    member = jacobian.members()
+    jacobian, used = found.jacobian, problem.samples.weight > 0
+    score = jnp.where(used, problem.loss.score(found.at.residual)[0], 0)
+    share, count = jacobian.local * score[:, None], jnp.sum(used).astype(y.dtype)
     products = jnp.einsum(
-        "ckn,dln,gn->gcdkl", share, share, member, precision=EXACT, optimize="optimal"
-    )
-    covariance = jnp.einsum(
-        "gcki,gcdkl,gdlj,cd->ij",
-        jacobian.select,
-        products,
-        jacobian.select,
-        alike,
+        "ckn,dln,gn->gcdkl",
+        share,
+        share,
+        jacobian.members(),
         precision=EXACT,
+        optimize="optimal",
     )
-    return variance * covariance, jacobian.gram(steepness), jacobian.gram(), variance
-
-
-def _along_light(
-    light: Float[Array, " samples"],
-    square: Float[Array, " samples"],
-    share: Float[Array, " samples"],
-) -> Float[Array, " samples"]:
-    """Mean of one channel's squared scores, as a linear function of the light.
-
-    **Arguments:** `share`: expected squares up to a factor; 0 if not used.
-    """
-    total = jnp.maximum(jnp.sum(share), 1)
-    mean = jnp.sum(square) / total
-    middle = jnp.sum(share * light) / total
-    width = jnp.sqrt(jnp.sum(share * (light - middle) ** 2) / total)
-    place = (light - middle) / jnp.where(width > 0, width, 1)
-    tiny = jnp.finfo(light.dtype).tiny
-
-    def variance(line: tuple[Array, Array]) -> Array:
-        return jnp.maximum(line[0] + line[1] * place, LEAST * mean + tiny)
-
-    def fit_anew(_: Array, line: tuple[Array, Array]) -> tuple[Array, Array]:
-        # The variance of a square is proportional to the variance squared.
-        weight = (mean / variance(line)) ** 2
-        total = jnp.sum(weight * share) + tiny
-        center = jnp.sum(weight * share * place) / total
-        spread = jnp.sum(weight * share * (place - center) ** 2)
-        tilt = jnp.sum(weight * square * (place - center))
-        slope = jnp.where(spread > 0, tilt / jnp.where(spread > 0, spread, 1), 0)
-        return jnp.sum(weight * square) / total - slope * center, slope
-
-    line = (mean, jnp.zeros_like(mean))
-    return variance(jax.lax.fori_loop(0, PASSES, fit_anew, line))
+    select = jacobian.select
+    covariance = jnp.einsum(
+        "gcki,gcdkl,gdlj->ij", select, products, select, precision=EXACT
+    )
+    # A fit makes its residuals smaller than the noise.
+    freedom = jnp.maximum(count - y.size, 1)
+    return covariance * count / freedom, jnp.sum(score**2) / count, jacobian.gram()
 
 
 def independent_variance(problem: Problem, at: Evaluation) -> Float[Array, "3 samples"]:

@@ -236,6 +236,8 @@ def _sandwich_sums(problem: Problem, found: Linearization) -> SandwichSums:
     if problem.scatter is not None:
         root = jnp.sqrt(jnp.diag(bread))
         meat, shared = problem.scatter * jnp.outer(root, root), jnp.zeros((), kind)
+        # The slope of a robust loss may differ where the noise does.
+        bread, steepness = jacobian.gram(slope), jnp.ones((), kind)
     return SandwichSums(
         bread=steepness * bread + known,
         meat=meat,

@@ -17,9 +17,6 @@ from phongfit.fitting.problem.noise import (
 )
 from phongfit.fitting.uncertainty.grid import Grid, sum_at_places
 
-# Largest side of a tile in pixels, and most tiles with smaller sides.
-LARGEST, MOST_TILES = 8, 1024
-
 
 class Measured(NamedTuple):
     """An image and its noise: samples of weight 1 have the deviation `sigma`."""
@@ -77,14 +74,6 @@ class Tiles(NamedTuple):
     rounding: Rounding | None
     neighbours: Neighbours
     grid: Grid
-
-
-def tile_side(height: int, width: int) -> int:
-    """Pixels along the side of a tile: a power of two, smaller for small images."""
-    side = 1
-    while side < LARGEST and -(-height // side) * -(-width // side) > MOST_TILES:
-        side *= 2
-    return side
 
 
 def sum_over_tiles(

@@ -193,12 +193,6 @@ def test_start_on_a_bound_and_fixed_unknowns():
     near(solution.value[0], best, 1e4 * eps())
 
 
-def test_an_earlier_pace_is_trusted_no_further_than_it_holds():
-    """Near where an earlier run ended one evaluation does; from afar it goes on."""
-    end, pace = np.array([1.0, 1.0]), floats([2000.0, 1.0])
-    for far in (1e-4, 0.3):
-        start = end + far * np.array([1.0, -1.0])
-        options = {"foresee": True, "pace": pace}
-        found = minimize(rosenbrock, start, end - 9, end + 9, 99, 1e-5, **options)
-        assert (int(found.stats["num_steps"]) == 1) == (far < 1e-3)
-        np.testing.assert_allclose(found.value, end, atol=1e-4)
+def test_an_argument_that_has_gone_is_named():
+    with pytest.warns(DeprecationWarning, match="pace"):
+        BoundedLevenbergMarquardt(1e-5, 1e-5, 0, 1, pace=floats([2000.0, 1.0]))

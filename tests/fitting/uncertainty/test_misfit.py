@@ -5,12 +5,13 @@ import pytest
 
 import phongfit as pf
 from phongfit.fitting.problem.losses import LOSSES
+from phongfit.fitting.problem.posing import tile_side
 from phongfit.fitting.uncertainty.misfit import (
     SIGNIFICANT,
     find_misfit,
     variance_inflation,
 )
-from phongfit.fitting.uncertainty.tiles import Measured, sum_over_tiles, tile_side
+from phongfit.fitting.uncertainty.tiles import Measured, sum_over_tiles
 from tests.fitting.scenes import ball, photograph, truth
 
 TRUTH = truth()
