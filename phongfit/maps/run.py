@@ -26,12 +26,12 @@ from phongfit.maps.job import Fitted, Job, check_scenes, make_job
 from phongfit.maps.materials.bases import Bases, held
 from phongfit.maps.materials.block import Given, fit_shared
 from phongfit.maps.materials.finding import Materials, choose_sample, find_materials
-from phongfit.maps.normals.block import fit_normals
 from phongfit.maps.passes import fit_in_passes, usual_passes
+from phongfit.maps.pixel.block import fit_tile
 from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.pixel.samples import Tile
 from phongfit.maps.pixel.settings import MAP_PARAMETERS, MapSettings
-from phongfit.maps.pixel.tile import BLOCK, compiled, fit_tile
+from phongfit.maps.pixel.tile import BLOCK, compiled
 from phongfit.maps.result import BasisMaterials, Maps, ParameterMaps, StrengthsName
 from phongfit.maps.stacks import AbstractStack, as_index, as_stack, identify_stack
 from phongfit.maps.store import TileStore, tile_store
@@ -81,8 +81,8 @@ def fit_maps(
 
     The data are those of photometric stereo. Normals are known, or fitted with the
     material. Every pixel is fitted from its own samples: the best reflectances for
-    given f solve a small problem in a box, and $\log f$ is found by a scan and Newton
-    steps. Unknown normals are searched from several starts. So no initial estimate is
+    given f solve a small linear problem, and steps of Levenberg and Marquardt find
+    $\log f$ and an unknown normal from several starts. So no initial estimate is
     needed. Tiles of pixels pass through memory one after another.
 
     **Arguments:**
@@ -421,7 +421,7 @@ def _lines(
         yield k, item
 
 
-_FITS = {"given": fit_tile, "sought": fit_normals, "shared": fit_shared}
+_FITS = {"given": fit_tile, "sought": fit_tile, "shared": fit_shared}
 
 _EMPTY = {"noise": np.nan, "normals_stderr": np.inf, "flags": int(Flag.OUTSIDE)}
 """Values of pixels that are not fitted; errors are infinite, other values 0."""
