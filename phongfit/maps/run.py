@@ -26,11 +26,11 @@ from phongfit.maps.job import Fitted, Job, check_scenes, make_job
 from phongfit.maps.materials.bases import held
 from phongfit.maps.materials.block import Given, fit_shared
 from phongfit.maps.materials.finding import Materials, choose_sample, find_materials
-from phongfit.maps.normals.block import fit_normals
 from phongfit.maps.passes import fit_in_passes, usual_passes
+from phongfit.maps.pixel.block import fit_tile
 from phongfit.maps.pixel.samples import Tile
 from phongfit.maps.pixel.settings import MAP_PARAMETERS
-from phongfit.maps.pixel.tile import BLOCK, compiled, fit_tile
+from phongfit.maps.pixel.tile import BLOCK, compiled
 from phongfit.maps.result import (
     WEIGHTS,
     BasisMaterials,
@@ -90,8 +90,8 @@ def fit_maps(
 
     The data are those of photometric stereo. Normals are known, or fitted with the
     material. Every pixel is fitted from its own samples: the best reflectances for
-    given f solve a small problem in a box, and $\log f$ is found by a scan and Newton
-    steps. Unknown normals are searched from several starts. So no initial estimate is
+    given f solve a small linear problem, and steps of Levenberg and Marquardt find
+    $\log f$ and an unknown normal from several starts. So no initial estimate is
     needed. Tiles of pixels pass through memory one after another.
 
     **Arguments:**
@@ -274,18 +274,16 @@ def fit_job(
     settings, outside, pixels = job.settings, job.outside, job.pixels
     tiles = [pixels[k : k + size] for k in range(0, len(pixels), size)]
 
-    kind = "given" if settings.normals == "given" else "sought"
     with concurrent.futures.ThreadPoolExecutor(threads) as workers:
-        shared, among, matte = None, outside, False
+        shared, among, fit, matte = None, outside, fit_tile, False
         if settings.materials is not None:
-            kind = "shared"
             shared = _materials(job, workers)
             matte = not len(shared.bases.shares)
-            among = Given(outside, shared.bases)
+            among, fit = Given(outside, shared.bases), fit_shared
         if matte:
             job = _without_highlights(job)
-            kind, shared, settings, among = "sought", None, job.settings, job.outside
-        run = compiled(settings, mesh, _FITS[kind])
+            shared, settings, among, fit = None, job.settings, job.outside, fit_tile
+        run = compiled(settings, mesh, fit)
 
         def work(part: Tile) -> dict[str, np.ndarray]:
             return jax.tree.map(np.asarray, run(part.padded(), among))
@@ -407,9 +405,6 @@ def _lines(
             words = f"{k} of {total} {what}, {left / 60:.1f} minutes left"
             print(f"maps: {words}", file=sys.stderr, flush=True)
         yield k, item
-
-
-_FITS = {"given": fit_tile, "sought": fit_normals, "shared": fit_shared}
 
 
 class _Canvas:

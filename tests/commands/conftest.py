@@ -13,7 +13,7 @@ import zarr
 
 import phongfit as pf
 from phongfit.cli import main
-from tests.maps.normals.scenes import hide
+from tests.maps.pixel.scenes import hide
 
 SIDE = 16
 """Pixels along the edges of the data set that all commands are tried with."""

@@ -8,7 +8,7 @@ import pytest
 import scipy.stats
 
 import phongfit as pf
-from phongfit.maps.pixel.pixel import students_t
+from phongfit.maps.pixel.scale import students_t
 from tests.maps.synthetic import Stack, dtype, make_stack, pulls, same
 
 FREE = pf.Film(clamp=False)

@@ -9,8 +9,8 @@ import pytest
 import phongfit as pf
 from data_synth.lights import spread_directions
 from phongfit.maps.job import make_job
-from phongfit.maps.normals.block import samples_of
 from phongfit.maps.passes import find_offset, moved
+from phongfit.maps.pixel.block import samples_of
 from phongfit.maps.stacks import ArrayStack, KeptStack
 from tests.maps.hills import CAMERA, SIZE, bumps
 from tests.maps.synthetic import dtype

@@ -6,9 +6,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from phongfit.maps.normals.unknowns import Unknowns, unknowns_of
 from phongfit.maps.pixel.pixel import Known
 from phongfit.maps.pixel.settings import MapSettings
+from phongfit.maps.pixel.unknowns import Unknowns, unknowns_of
 
 LOBE = ("specular", "shininess")
 """Parameters that pixels of one material share."""
@@ -43,6 +43,14 @@ def alone(settings: MapSettings) -> MapSettings:
 def sought(settings: MapSettings) -> Unknowns:
     """Unknowns of a pixel whose highlight is known."""
     return unknowns_of(held(settings))
+
+
+def everything(settings: MapSettings) -> Unknowns:
+    """Unknowns of a pixel, followed by its material's, which the channels share."""
+    one = settings.one_specular
+    return sought(settings)._replace(
+        exponent=True, one_specular=one, each_specular=not one
+    )
 
 
 def size_of(settings: MapSettings) -> int:

@@ -6,17 +6,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from phongfit.maps.materials.bases import Bases, as_known, held, sought
+from phongfit.maps.materials.bases import Bases, as_known, everything, held, sought
 from phongfit.maps.materials.reduced import reduce, take_apart
-from phongfit.maps.normals.block import judged, samples_of
-from phongfit.maps.normals.search import SearchResult, search
-from phongfit.maps.normals.step import edges_of, free_to_move
-from phongfit.maps.normals.sums import gather
-from phongfit.maps.normals.unknowns import unknowns_of
+from phongfit.maps.pixel.block import judged, samples_of
 from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.pixel.pixel import Outside, PixelFit
 from phongfit.maps.pixel.samples import Samples, Tile
+from phongfit.maps.pixel.search import SearchResult, search
 from phongfit.maps.pixel.settings import MapSettings
+from phongfit.maps.pixel.step import edges_of, free_to_move
+from phongfit.maps.pixel.sums import gather
 from phongfit.maps.pixel.tile import in_two_passes
 
 # Least probability of a material at which a pixel is identified as being of it.
@@ -56,7 +55,7 @@ def fit_shared(tile: Tile, given: Given, settings: MapSettings) -> PixelFit:
 def _fit_block(
     tile: Tile, given: Given, thorough: Bool[Array, ""], settings: MapSettings
 ) -> tuple[PixelFit, Bool[Array, " pixels"]]:
-    """Fit one block; see [`phongfit.maps.normals.block.fit_block`][]."""
+    """Fit one block; see [`phongfit.maps.pixel.block.fit_block`][]."""
     outside, bases = given
     own, which = held(settings), sought(settings)
     samples, lost = samples_of(tile, outside, settings)
@@ -64,7 +63,9 @@ def _fit_block(
     def attempt(material: tuple[Array, Array]) -> _Try:
         values, covariance = material
         here = outside._replace(known=as_known(values, outside.known))
-        found = search(samples, here.known, outside.noise, own, which, thorough)
+        found = search(
+            samples, here.known.spread(), outside.noise, own, which, thorough
+        )
         fit, unsettled = judged(found, samples, lost, here, own, which, thorough)
         fit, log_det = _inherited(fit, found, samples, covariance, settings)
         return _Try(fit, found.left, found.scale, log_det, unsettled)
@@ -93,13 +94,10 @@ def _inherited(
     settings: MapSettings,
 ) -> tuple[PixelFit, Float[Array, " pixels"]]:
     """Add the material's errors to a pixel's, and return the normal's `log_det`."""
-    which, mine = unknowns_of(settings), sought(settings)
-    point = found.point
-    whole = point
-    if settings.one_specular:
-        whole = point._replace(specular=point.specular[:1])
-    sums = gather(whole, samples, found.scale, settings.loss, settings.model, which)
-    parts = take_apart(sums, which)
+    mine, point = sought(settings), found.point
+    parts = take_apart(
+        gather(point, samples, found.scale, settings, everything(settings))
+    )
     edges = edges_of(settings, mine)
     free = free_to_move(point, parts.pixel, mine, edges)
     reduced = reduce(parts, free)

@@ -12,11 +12,12 @@ from phongfit.maps.materials.bases import Bases, alone, size_of
 from phongfit.maps.materials.grouping import Table, group
 from phongfit.maps.materials.looks import Alone, Look, fit_alone, fit_row, look_at
 from phongfit.maps.materials.mixture import Mixture, Told, maximize
-from phongfit.maps.normals.unknowns import Point
-from phongfit.maps.pixel.pixel import Outside, most_by_chance
+from phongfit.maps.pixel.pixel import Outside
 from phongfit.maps.pixel.samples import Tile
+from phongfit.maps.pixel.scale import most_by_chance
 from phongfit.maps.pixel.settings import MOST_MATERIALS, MapSettings
 from phongfit.maps.pixel.tile import BLOCK
+from phongfit.maps.pixel.unknowns import Point
 
 # Number of pixels of a sample times number of images, and limits of the former.
 LIGHT = 2**17

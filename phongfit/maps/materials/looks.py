@@ -9,25 +9,25 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from phongfit.fitting.problem.losses import AbstractLoss
-from phongfit.maps.materials.bases import as_known, held, sought
+from phongfit.maps.materials.bases import as_known, everything, held, sought
 from phongfit.maps.materials.reduced import reduce, take_apart, turns
-from phongfit.maps.normals.block import samples_of
-from phongfit.maps.normals.scale import count_used, weighed_scale
-from phongfit.maps.normals.search import descend, search
-from phongfit.maps.normals.step import (
+from phongfit.maps.pixel.block import samples_of
+from phongfit.maps.pixel.pixel import Known, Outside
+from phongfit.maps.pixel.robust import loss_weights
+from phongfit.maps.pixel.samples import Samples, Tile
+from phongfit.maps.pixel.scale import count_used, final_scale
+from phongfit.maps.pixel.search import descend, search
+from phongfit.maps.pixel.settings import MapSettings
+from phongfit.maps.pixel.small import KEEP_BARRIERS, curvatures
+from phongfit.maps.pixel.step import (
     Move,
     edges_of,
     free_to_move,
     moved,
     reduce_sums,
 )
-from phongfit.maps.normals.sums import gather, residuals
-from phongfit.maps.normals.unknowns import Point, unknowns_of
-from phongfit.maps.pixel.pixel import Known, Outside
-from phongfit.maps.pixel.robust import loss_scores, loss_weights
-from phongfit.maps.pixel.samples import Samples, Tile
-from phongfit.maps.pixel.settings import MapSettings
-from phongfit.maps.pixel.small import KEEP_BARRIERS, curvatures
+from phongfit.maps.pixel.sums import gather, residuals
+from phongfit.maps.pixel.unknowns import Point, unknowns_of
 
 # Maximum number of evaluated points from a start nearby, and limits of convergence.
 STEPS = 12
@@ -58,15 +58,9 @@ def fit_alone(tile: Tile, outside: Outside, settings: MapSettings) -> Alone:
     settings = dataclasses.replace(settings, one_specular=True)
     samples, _ = samples_of(tile, outside, settings)
     which = unknowns_of(settings)
-    found = search(samples, outside.known, outside.noise, settings, which)
-    left = found.left
-    unknowns = settings.unknowns()
-    count = count_used(samples.share)
-    if settings.loss.robust:
-        level = weighed_scale(left, samples.share, found.scale, settings.loss, unknowns)
-    else:
-        freedom = jnp.maximum(count - unknowns, 1)
-        level = jnp.sqrt(jnp.sum(left**2, axis=(0, 1)) / freedom)
+    found = search(samples, outside.known.spread(), outside.noise, settings, which)
+    unknowns, count = settings.unknowns(), count_used(samples.share)
+    level = final_scale(found.left, samples.share, found.scale, settings.loss, unknowns)
     lit = jnp.any(samples.target > 0, axis=(0, 1))
     return Alone(samples, found.point, level, count, lit & (count > unknowns))
 
@@ -130,27 +124,24 @@ def look_at(
     settings: MapSettings,
 ) -> Look:
     """Fit each pixel's own unknowns under a material, from a start."""
-    mine, which = sought(settings), unknowns_of(settings)
+    mine, which = sought(settings), everything(settings)
     given = as_known(values, known)
     begin = start._replace(
         log_exponent=jnp.full_like(start.log_exponent, values[0]),
         specular=jnp.broadcast_to(given.specular[:, None], start.diffuse.shape),
     )
     end = descend(begin, samples, scale, STEPS, FINE, held(settings), mine)
-    whole = end.point
-    if settings.one_specular:
-        whole = whole._replace(specular=whole.specular[:1])
-    sums = gather(whole, samples, scale, settings.loss, settings.model, which)
-    parts = take_apart(sums, which)
+    sums = gather(end.point, samples, scale, settings, which)
+    parts = take_apart(sums)
     edges = edges_of(settings, mine)
     free = free_to_move(end.point, parts.pixel, mine, edges)
     reduced = reduce(parts, free)
     bent = _bent(end.point, turns(parts.pixel, free), samples, settings)
-    aside = gather(whole, bent, scale, settings.loss, settings.model, which)
-    more = reduce(take_apart(aside, which), free).pull
-    left = residuals(end.point, samples, settings.model, mine) / scale[None, None]
+    aside = gather(end.point, bent, scale, settings, which)
+    more = reduce(take_apart(aside), free).pull
+    left = residuals(end.point, samples, settings, mine) / scale[None, None]
     used = samples.share > 0
-    _, slope = loss_scores(settings.loss, left)
+    _, slope = settings.loss.score(left)
     weight = loss_weights(settings.loss, left)
     return Look(
         end.point,
@@ -172,7 +163,7 @@ def _strayed(loss: AbstractLoss) -> Float[Array, ""]:
     """
     r = jnp.linspace(-8, 8, 401)
     density = jnp.exp(-(r**2) / 2)
-    value, slope = loss_scores(loss, r)
+    value, slope = loss.score(r)
     square, weight, steep = (
         jnp.sum(density * each) for each in (value**2, loss_weights(loss, r), slope)
     )
@@ -198,7 +189,7 @@ def _bent(
     edges = edges_of(settings, which)
 
     def left(moved_to: Point) -> Array:
-        return residuals(moved_to, samples, settings.model, which)
+        return residuals(moved_to, samples, settings, which)
 
     def aside(signed: tuple[Move, Array]) -> Array:
         move, sign = signed

@@ -13,13 +13,12 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from phongfit.maps.normals.step import EXPONENT, Free, Move, make_move, reduce_sums
-from phongfit.maps.normals.sums import Sums, over_channels
-from phongfit.maps.normals.unknowns import Unknowns
-from phongfit.maps.pixel.small import Numbers, dot, factorize
+from phongfit.maps.pixel.small import Numbers, dot, entry, factorize
+from phongfit.maps.pixel.step import Free, Move, make_move, reduce_sums
+from phongfit.maps.pixel.sums import Sums, over_channels
 
-STRENGTH = EXPONENT + 1
-"""Index of a shared ρ_s among the unknowns that the channels share: after log f."""
+TANGENTS = 2
+"""Number of unknowns of a normal."""
 
 
 class Column(NamedTuple):
@@ -59,53 +58,25 @@ class Reduced(NamedTuple):
     log_det: Float[Array, " pixels"]
 
 
-def take_apart(sums: Sums, which: Unknowns) -> Parts:
+def take_apart(sums: Sums) -> Parts:
     """Separate the sums of all unknowns into a pixel's own and its material's.
 
-    **Arguments:** `which`: all unknowns, including log f and ρ_s.
+    The normal's tangents, which are the pixel's, precede the material's unknowns.
     """
-    n_own = len(which.own) - (not which.one_specular)
-    pixel = Sums(
-        sums.own[:n_own],
-        tuple(row[:n_own] for row in sums.cross[:EXPONENT]),
-        sums.shared[:EXPONENT],
-        sums.pull_own[:n_own],
-        sums.pull_shared[:EXPONENT],
-        sums.cost,
+    mine, material = slice(TANGENTS), range(TANGENTS, len(sums.shared))
+    pixel = sums._replace(
+        cross=sums.cross[mine],
+        shared=sums.shared[mine],
+        pull_shared=sums.pull_shared[mine],
     )
-
-    def of_shared(place: int) -> Column:
-        return Column(sums.cross[place][:n_own], sums.shared[place][:EXPONENT])
-
-    columns = [of_shared(EXPONENT)]
-    if which.one_specular:
-        columns.append(of_shared(STRENGTH))
-        shared, last = sums.shared, STRENGTH
-        curvature = jnp.stack(
-            [
-                jnp.stack([shared[EXPONENT][EXPONENT], shared[last][EXPONENT]]),
-                jnp.stack([shared[last][EXPONENT], shared[last][last]]),
-            ]
-        )
-        pull = jnp.stack(sums.pull_shared[EXPONENT:])
-        return Parts(pixel, tuple(columns), curvature, pull)
-    strength = sums.own[n_own]
-    channels = strength[-1].shape[0]
-    # Each channel has a separate ρ_s, which has no products with other channels.
-    for channel in range(channels):
-        mine = (jnp.arange(channels) == channel)[:, None]
-        own = tuple(jnp.where(mine, entry, 0) for entry in strength[:n_own])
-        columns.append(
-            Column(own, tuple(row[n_own][channel] for row in sums.cross[:EXPONENT]))
-        )
-    along = sums.cross[EXPONENT][n_own]
-    curvature = jnp.zeros((1 + channels, 1 + channels, along.shape[-1]), along.dtype)
-    curvature = curvature.at[0, 0].set(sums.shared[EXPONENT][EXPONENT])
-    curvature = curvature.at[0, 1:].set(along).at[1:, 0].set(along)
-    diagonal = jnp.arange(1, 1 + channels)
-    curvature = curvature.at[diagonal, diagonal].set(strength[n_own])
-    pull = jnp.concatenate([sums.pull_shared[EXPONENT][None], sums.pull_own[n_own]])
-    return Parts(pixel, tuple(columns), curvature, pull)
+    columns = tuple(Column(sums.cross[k], sums.shared[k][mine]) for k in material)
+    curvature = [[entry(sums.shared, i, j) for j in material] for i in material]
+    return Parts(
+        pixel,
+        columns,
+        jnp.stack([jnp.stack(row) for row in curvature]),
+        jnp.stack(sums.pull_shared[TANGENTS:]),
+    )
 
 
 def reduce(parts: Parts, free: Free) -> Reduced:

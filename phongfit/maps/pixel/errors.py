@@ -1,219 +1,292 @@
-"""Standard errors of pixels from sums at the solution, and flags for their limits."""
+"""Standard errors of normals and materials from sums at the solution, and flags."""
 
 from collections.abc import Callable
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from phongfit.fitting.uncertainty.identifiability import SEEN
-from phongfit.maps.pixel.columns import Columns
-from phongfit.maps.pixel.exponent import At, Box, full_gram, slope_gram
-from phongfit.maps.pixel.lobes import Angles
-from phongfit.maps.pixel.search import Profile, survey
-from phongfit.maps.pixel.settings import MapSettings
+from phongfit.maps.pixel.lamps import facing
+from phongfit.maps.pixel.samples import Samples
 from phongfit.maps.pixel.small import (
+    Numbers,
     Triangle,
     curvatures,
+    dot,
     factorize,
-    in_groups,
-    of_rank,
+    solve,
 )
+from phongfit.maps.pixel.step import Edges, Free, reduce_sums
+from phongfit.maps.pixel.sums import Sums
+from phongfit.maps.pixel.unknowns import Point, Unknowns
 
-T = TypeVar("T")
-
-# Converged: the next step is below this fraction of the standard error.
-SETTLED = 0.1
-# Changes of a reflectance below this are negligible, however small its error.
-LEAST = 1e-4
-# From this standard error of log f on, the model is not linear within the error.
-VAGUE = 0.25
-# Profiles are followed to this many standard errors: about a 95 % interval.
+# Largest error of an identified normal, in degrees: the model is not linear beyond.
+WIDEST = 20.0
+# Standard errors of log f: from VAGUE on, the model is not linear within the error, and
+# with an unknown normal from VAGUE_TURNED on; beyond LOST, f is not identified.
+VAGUE, VAGUE_TURNED = 0.25, 0.08
+LOST = 1.0
+# Distance of the profile's exponents from the estimate, in standard errors.
 FAR = 2.0
+# Squared fraction of the lights' vectors across a plane below which they lie in it.
+FLAT = 3e-4
+# A pixel is ambiguous if the cost of another normal is higher by less than this, which
+# is two standard errors.
+AS_GOOD = 4.0
 
 
 class Errors(NamedTuple):
-    """Standard errors of all channels; infinite if not identified.
+    """Standard errors of normals and materials; infinite if not identified.
 
-    - `reflectances`: (channels, pixels) for each unknown: those of the columns, then
-        ρ_s.
-    - `exponent`: of f, (groups, pixels).
-    - `dim`, `degenerate`, `at_bound`, `moving`: see [`Flag`][], (groups, pixels).
+    - `normal`: root mean square angle, in degrees.
+    - `own`: of each channel's own reflectances, (channels, pixels) each.
+    - `specular`: of a shared ρ_s, and `exponent`, of f.
+    - `dim`, `degenerate`, `in_a_plane`, `ambiguous`, `at_bound`: see [`Flag`][].
+    - `settled`: whether the fits of the profile have converged.
     """
 
-    reflectances: Float[Array, "unknowns channels pixels"]
-    exponent: Float[Array, "groups pixels"]
-    dim: Bool[Array, "groups pixels"]
-    degenerate: Bool[Array, "groups pixels"]
-    at_bound: Bool[Array, "groups pixels"]
-    moving: Bool[Array, "groups pixels"]
+    normal: Float[Array, " pixels"]
+    own: Numbers
+    specular: Float[Array, " pixels"]
+    exponent: Float[Array, " pixels"]
+    dim: Bool[Array, " pixels"]
+    degenerate: Bool[Array, " pixels"]
+    in_a_plane: Bool[Array, " pixels"]
+    ambiguous: Bool[Array, " pixels"]
+    at_bound: Bool[Array, " pixels"]
+    settled: Bool[Array, " pixels"]
+
+
+class Profile(NamedTuple):
+    """The best points at a lower and at a higher exponent.
+
+    - `points`: with a new first axis; `rises`: (2, pixels), their increase of the cost.
+    - `settled`: whether the fits have converged.
+    """
+
+    points: Point
+    rises: Float[Array, "2 pixels"]
+    settled: Bool[Array, " pixels"]
+
+
+class Spread(NamedTuple):
+    """Standard errors of own and of shared unknowns, in units of the noise."""
+
+    own: Numbers
+    shared: Numbers
 
 
 def standard_errors(
-    at: At,
-    columns: Columns,
-    t: Float[Array, "groups pixels"],
-    sigma: Float[Array, "#groups pixels"],
-    moved: Float[Array, "unknowns channels pixels"],
-    angles: Angles,
-    box: Box,
-    settings: MapSettings,
-    profile: Profile | None = None,
+    point: Point,
+    sums: Sums,
+    sigma: Float[Array, " pixels"],
+    samples: Samples,
+    rival: Float[Array, " pixels"],
+    which: Unknowns,
+    edges: Edges,
+    follow: Callable[[Array, Array], Profile],
 ) -> Errors:
-    r"""Errors from $\sigma^2 (J^\top J)^{-1}$, with no unknown held by its bound.
+    r"""Errors from $\sigma^2 (J^\top W J)^{-1}$, with no unknown held by its bound.
 
-    The true value may be inside the bound when the estimate lies at it, and estimates
-    that are correlated with it then differ too: so parameters at a bound count as free.
     If the error of the exponent is large, the model is not linear within it. Errors
     then reach at least as far as the profile, for which all other unknowns are fitted
-    at exponents over the whole range.
+    at fixed exponents.
 
     **Arguments:**
 
-    - `at`, `columns`, `t`: the solution.
-    - `sigma`: standard deviation of a sample.
-    - `moved`: last change of the reflectances by reweighting; 0 without.
-    - `angles`: as in [`Basis`][].
-    - `profile`: of these columns; `None`: computed here if a pixel needs it.
+    - `point`, `sums`: the solution.
+    - `sigma`: factor from the sums' unit of noise to the noise.
+    - `rival`: by how much the cost of another normal is higher.
+    - `follow`: function from log exponents, (2, pixels), and flags of pixels to the
+        profile of these pixels.
     """
-    groups = len(t)
-    inner = (t > box.lowest) & (t < box.highest)
+    everything = _all(sums)
+    spread = _spread(sums, everything)
+    dim = jnp.zeros(sigma.shape, bool)
+    if which.exponent:
+        # Without a highlight any exponent is possible: errors are then those at a fixed
+        # exponent.
+        shared = list(everything.shared)
+        shared[which.place] = jnp.zeros_like(shared[which.place])
+        apart = _spread(sums, everything._replace(shared=tuple(shared)))
+        least, other = (_specular_error(each, sigma, which) for each in (spread, apart))
+        seen = point.specular >= SEEN * jnp.minimum(least, other)
+        dim = ~jnp.any(seen, axis=0)
+        spread = jax.tree.map(
+            lambda without, whole: jnp.where(dim, without, whole), apart, spread
+        )
+    normal = jnp.zeros_like(sigma)
+    if which.normal:
+        turn = jnp.sqrt(spread.shared[0] ** 2 + spread.shared[1] ** 2) * sigma
+        normal = jnp.rad2deg(turn)
+    own = tuple(sigma[None] * error for error in spread.own)
+    specular = reach = log_error = jnp.zeros_like(sigma)
+    open_ended, settled = jnp.zeros_like(dim), jnp.ones_like(dim)
+    if which.one_specular:
+        specular = sigma * spread.shared[-1]
+    widths = _Widths(normal, own, specular, reach, open_ended)
+    t = point.log_exponent
+    if which.exponent:
+        log_error = sigma * spread.shared[which.place]
+        reach = jnp.exp(t) * log_error
+        limit = VAGUE_TURNED if which.normal else VAGUE
+        vague = ~dim & ~(log_error < limit)
+        widths = widths._replace(exponent=reach)
+        far = FAR * jnp.clip(jnp.where(vague, log_error, limit), 0, LOST)
+        both = jnp.clip(jnp.stack([t - far, t + far]), *edges.log_exponent)
 
-    def bordered(rest: Array) -> Triangle:
-        """Products of all columns and ρ_s S'; `rest`: curvature from other channels."""
-        specular = at.point[-1]
-        side = tuple(specular * number for number in slope_gram(at.slopes))
-        corner = specular**2 * at.slopes.own + rest
-        return (*full_gram(columns, at.sums), (*side, corner))
+        def widened() -> tuple[_Widths, Array]:
+            profile = follow(both, vague)
+            wide = _widened(point, profile, widths, sigma, which, edges)
+            return _where(vague, wide, widths), profile.settled | ~vague
 
-    def any_of(found: Array) -> Array:
-        return in_groups(found.astype(t.dtype), groups) > 0
+        widths, settled = jax.lax.cond(
+            jnp.any(vague), widened, lambda: (widths, jnp.ones_like(vague))
+        )
+        normal, specular, reach = widths.normal, widths.specular, widths.exponent
+        open_ended = widths.open_ended
+    in_a_plane = _in_a_plane(point, samples) & which.normal
+    ambiguous = rival < AS_GOOD
+    unknown = ~(normal <= WIDEST) | in_a_plane | ambiguous
+    normal = jnp.where(unknown, jnp.inf, normal)
 
-    alone = factorize(bordered(jnp.zeros_like(at.point[-1]))).last
-    total = in_groups(alone, groups)
-    apart = shared = curvatures(full_gram(columns, at.sums))
-    if settings.searched:
-        shared = curvatures(bordered(total - alone))[:-1]
-    error, error_apart = (
-        jnp.stack([sigma * _root_inverse(c) for c in curvature])
-        for curvature in (shared, apart)
-    )
-    if not settings.searched:
-        error = jnp.broadcast_to(error, (len(error), *at.point[-1].shape))
-    # Without a highlight any exponent is possible: errors are then those at a fixed
-    # exponent.
-    seen = at.point[-1] >= SEEN * jnp.minimum(error[-1], error_apart[-1])
-    dim = ~any_of(seen) & settings.shiny
-    log_error = sigma * _root_inverse(total)
-    reach = log_error
-    open_ended = ~inner
-    moving = jnp.zeros_like(dim)
-    if settings.searched:
-        error = jnp.where(dim[None], error_apart, error)
+    def told(error: Array, edge: tuple[float, float]) -> Array:
+        # Reflectances are identified only if the normal is.
+        low, high = edge
+        where = unknown.reshape((1,) * (error.ndim - 1) + unknown.shape)
+        return jnp.where(where | ~(error <= high - low), jnp.inf, error)
 
-        def follow() -> tuple[Array, Array, Array]:
-            known = profile
-            if known is None:
-                known = survey(columns, settings.lobes, angles, box, groups)
-            wider = _widest(at, known, columns, sigma)
-            return (wider, *_ends(at, known, t, sigma, box))
-
-        vague = dim | ~inner | ~(log_error < VAGUE)
-        nowhere = jnp.zeros_like(error), t, t
-        wider, low, high = _where_wanted(vague, follow, nowhere)
-        error = jnp.maximum(error, wider)
-        reach = jnp.maximum(log_error, (high - t) / FAR)
-        below = (t - low) / FAR
-        open_ended = dim | ~inner | (high >= box.highest)
-        open_ended |= ~(log_error <= box.highest - box.lowest)
-        step = jnp.abs(at.slope) / jnp.where(at.curvature > 0, at.curvature, 1)
-        moving = (step > SETTLED * log_error) & (step > 1e-3) & ~open_ended
-        upward = jnp.expm1(FAR * reach) / FAR
-        downward = -jnp.expm1(-FAR * below) / FAR
-        reach = jnp.maximum(upward, downward)
-    restless = (moved > SETTLED * error) & (moved > LEAST)
-    moving = moving | any_of(jnp.any(restless, axis=0))
-    width = np.subtract(box.upper, box.lower)
-    identified = (error <= width[:, None, None]) & ~moving[None]
-    error = jnp.where(identified, error, jnp.inf)
-    exponent = jnp.where(open_ended | moving, jnp.inf, jnp.exp(t) * reach)
-
-    wanted = np.array([True] * len(settings.columns) + [settings.shiny])[:, None, None]
-    held = ~jnp.stack(at.free)
-    blurred = any_of(jnp.any(~identified & wanted, axis=0)) & ~moving
+    own = tuple(map(told, widths.own, edges.own))
+    specular = told(specular, edges.specular)
+    at_bound = jnp.zeros_like(dim)
+    if which.exponent:
+        low, high = edges.log_exponent
+        at_bound = ~dim & ((t <= low) | (t >= high))
+        lost = dim | at_bound | open_ended | unknown | ~(log_error <= LOST)
+        reach = jnp.where(lost, jnp.inf, reach)
+    blurred = jnp.any(~jnp.isfinite(jnp.stack(own)), axis=(0, 1))
+    degenerate = unknown | blurred | ~jnp.isfinite(specular)
+    degenerate |= ~jnp.isfinite(reach) & ~dim & ~at_bound
+    for name, (low, high) in zip(which.own, edges.own, strict=True):
+        value = getattr(point, name)
+        at_bound |= jnp.any((value <= low) | (value >= high), axis=0)
     return Errors(
-        error,
-        exponent,
-        dim & settings.searched,
-        blurred | (settings.searched & open_ended & inner & ~dim),
-        any_of(jnp.any(held & wanted, axis=0)) | (settings.searched & ~inner & ~dim),
-        moving,
+        normal,
+        own,
+        specular,
+        reach,
+        dim,
+        degenerate,
+        in_a_plane,
+        ambiguous & ~in_a_plane,
+        at_bound,
+        settled,
     )
 
 
-def _widest(
-    at: At, profile: Profile, columns: Columns, sigma: Array
-) -> Float[Array, "unknowns channels pixels"]:
-    r"""Half of the interval that the profile allows at two standard errors.
+class _Widths(NamedTuple):
+    """Errors of the normal in degrees, of ρ and of f; whether f has no upper limit."""
 
-    For an exponent whose φ is higher by $\Delta\phi$, a reflectance may lie
-    $\sqrt{(4 \sigma^2 - \Delta\phi) v}$ from its best value there; $v$ is its variance
-    at noise 1 without bounds.
-    """
-    left = FAR**2 - _rise(at, profile, sigma)
-    allowed = left >= 0
-    left = jnp.sqrt(jnp.maximum(left, 0))
+    normal: Array
+    own: Numbers
+    specular: Array
+    exponent: Array
+    open_ended: Array
+
+
+def _widened(
+    point: Point,
+    profile: Profile,
+    widths: _Widths,
+    sigma: Array,
+    which: Unknowns,
+    edges: Edges,
+) -> _Widths:
+    """Widen errors to those of a profile: its distance over the root of its rise."""
+    rises = jnp.maximum(profile.rises, 0) / sigma[None] ** 2
+    for side, rise in enumerate(rises):
+        there = Point(*(leaf[side] for leaf in profile.points))
+        # A rise below a tenth of the expected one is clipped; f is then open-ended.
+        share = 1 / jnp.sqrt(jnp.maximum(rise, FAR**2 / 10))
+        turned = point.normal - there.normal
+        turn = jnp.rad2deg(jnp.sqrt(jnp.sum(turned**2, axis=0)))
+        own = tuple(
+            jnp.maximum(error, share[None] * abs(getattr(there, name) - here))
+            for name, error, here in zip(
+                which.own,
+                widths.own,
+                [getattr(point, name) for name in which.own],
+                strict=True,
+            )
+        )
+        off = jnp.exp(there.log_exponent) - jnp.exp(point.log_exponent)
+        low, high = edges.log_exponent
+        at_end = (there.log_exponent <= low) | (there.log_exponent >= high)
+        widths = _Widths(
+            jnp.maximum(widths.normal, turn * share),
+            own,
+            jnp.maximum(
+                widths.specular,
+                jnp.abs(there.specular[0] - point.specular[0]) * share,
+            )
+            if which.one_specular
+            else widths.specular,
+            jnp.maximum(widths.exponent, jnp.abs(off) * share),
+            widths.open_ended | (at_end & (rise < FAR**2)) | (rise < FAR**2 / 10),
+        )
+    return widths
+
+
+def _where(where: Array, yes: _Widths, no: _Widths) -> _Widths:
+    def choose(a: Array, b: Array) -> Array:
+        return jnp.where(where.reshape((1,) * (a.ndim - 1) + where.shape), a, b)
+
+    return jax.tree.map(choose, yes, no)
+
+
+def _all(sums: Sums) -> Free:
+    def free(pulls: Numbers) -> Numbers:
+        return tuple(jnp.ones(pull.shape, bool) for pull in pulls)
+
+    return Free(free(sums.pull_own), free(sums.pull_shared))
+
+
+def _spread(sums: Sums, free: Free) -> Spread:
+    """Square roots of the inverse's diagonal for free unknowns; infinite for others."""
+    still = jnp.zeros(sums.cost.shape, sums.cost.dtype)
+    reduced = reduce_sums(sums, still, free)
+    shared = tuple(
+        jnp.where(mine, _root_inverse(curvature), jnp.inf)
+        for curvature, mine in zip(curvatures(reduced.shared), free.shared, strict=True)
+    )
+    alone = curvatures(sums.own)
+    through = (jnp.zeros_like(alone[0]),) * len(alone)
+    if reduced.shared:
+        through = _through(reduced.shared, reduced.adapted)
+    own = tuple(
+        jnp.sqrt(_root_inverse(curvature) ** 2 + more)
+        for curvature, more in zip(alone, through, strict=True)
+    )
+    return Spread(own, shared)
+
+
+def _through(matrix: Triangle, adapted: tuple[Numbers, ...]) -> Numbers:
+    """Variances of reflectances that come from the shared unknowns."""
+    factors = factorize(matrix)
+    flat = jax.tree.map(lambda f: f[None], factors)
     found = []
-    alone = curvatures(full_gram(columns, profile.sums))
-    for here, points, curvature in zip(at.point, profile.point, alone, strict=True):
-        spread = left * sigma[None] * _root_inverse(curvature)
-        off = jnp.abs(points - here[None]) + spread
-        # NaN is 0 · ∞, where the reflectance is not identified. Exponents that the
-        # profile excludes add nothing.
-        off = jnp.where(allowed, jnp.where(jnp.isnan(off), jnp.inf, off), 0)
-        found.append(jnp.max(off, axis=0) / FAR)
-    return jnp.stack(found)
+    for k in range(len(adapted[0])):
+        column = tuple(row[k] for row in adapted)
+        found.append(dot(column, solve(flat, column)))
+    return tuple(jnp.maximum(variance, 0) for variance in found)
 
 
-def _rise(
-    at: At, profile: Profile, sigma: Array
-) -> Float[Array, "candidates groups pixels"]:
-    """Increase of φ from the solution to each candidate, in variances of a sample."""
-    exact = (sigma > 0)[None]
-    rise = profile.value - at.value[None]
-    rise = rise / jnp.where(exact, sigma[None] ** 2, 1)
-    return jnp.where(exact, rise, jnp.inf)
-
-
-def _ends(
-    at: At, profile: Profile, t: Array, sigma: Array, box: Box
-) -> tuple[Array, Array]:
-    r"""Ends of the interval of log f that the profile allows.
-
-    The signed root of the increase of φ is a straight line in log f where the model is
-    linear, so it is interpolated linearly between candidates.
-
-    ??? cite "Source"
-        Bates and Watts, *Nonlinear regression analysis and its applications*, 1988,
-        section 6.1.
-    """
-    root = jnp.sqrt(jnp.maximum(_rise(at, profile, sigma), 0))
-    grid, t = profile.t[:, None, None], t[None]
-    root = jnp.where(grid < t, -root, root)
-    here, beyond = root[:-1], root[1:]
-    slope = beyond - here
-    slope = jnp.where(slope > 0, slope, jnp.inf)
-    start, spacing = grid[:-1], grid[1:] - grid[:-1]
-    rises = (here <= FAR) & (beyond > FAR)
-    high = jnp.where(rises, start + spacing * (FAR - here) / slope, t)
-    falls = (here < -FAR) & (beyond >= -FAR)
-    low = jnp.where(falls, start + spacing * (-FAR - here) / slope, t)
-    # If the candidate at an end of the range is allowed, the interval ends there.
-    high = jnp.where(root[-1] <= FAR, box.highest, jnp.max(high, axis=0))
-    low = jnp.where(root[0] >= -FAR, box.lowest, jnp.min(low, axis=0))
-    return low, high
+def _specular_error(spread: Spread, sigma: Array, which: Unknowns) -> Array:
+    if which.one_specular:
+        return (sigma * spread.shared[-1])[None]
+    return sigma[None] * spread.own[which.own.index("specular")]
 
 
 def _root_inverse(curvature: Array) -> Array:
@@ -222,17 +295,27 @@ def _root_inverse(curvature: Array) -> Array:
     return jnp.where(positive, root, jnp.inf)
 
 
-def _where_wanted(wanted: Array, compute: Callable[[], T], otherwise: T) -> T:
-    """`compute()` where `wanted`, else `otherwise`; skipped if no entry is true.
+def _in_a_plane(point: Point, samples: Samples) -> Bool[Array, " pixels"]:
+    """True if the lights that reach a pixel lie in one plane with it.
 
-    The last axes of all leaves are those of `wanted`.
+    Diffuse light then determines only the component of the normal in that plane, and
+    the mirror image of the normal in the plane gives equal samples.
     """
-
-    def some() -> T:
-        return jax.tree.map(
-            lambda new, old: jnp.where(of_rank(wanted, new.ndim), new, old),
-            compute(),
-            otherwise,
-        )
-
-    return jax.lax.cond(jnp.any(wanted), some, lambda: otherwise)
+    lights = facing(samples.lamps)
+    row = [lights[:, k] for k in range(3)]
+    shown = sum(
+        (row[k] * point.normal[k][None] for k in range(1, 3)),
+        row[0] * point.normal[0][None],
+    )
+    lit = (shown > 0) & jnp.any(samples.share > 0, axis=1)
+    length = jnp.sqrt(jnp.sum(lights**2, axis=1))
+    weight = jnp.where(lit, 1 / jnp.where(length > 0, length, 1) ** 2, 0)
+    xx, yy, zz, xy, xz, yz = (
+        jnp.sum(weight * row[i] * row[j], axis=0)
+        for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+    )
+    trace = xx + yy + zz
+    pairs = xx * yy + xx * zz + yy * zz - xy**2 - xz**2 - yz**2
+    det = xx * (yy * zz - yz**2) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+    # The least of three eigenvalues, where it is far below the others.
+    return ~(det > FLAT * trace * pairs)

@@ -24,6 +24,8 @@ class Lamps(NamedTuple):
     - `ambient`, `veil`: (images, channels, pixels): ambient light for ρ_a = 1, and the
         light that fog adds.
     - `to_viewer`: (3, pixels) unit vectors.
+    - `around`: (images, channels, pixels): reflected light from all around for ρ_d = 1;
+        only if the normals are known.
     """
 
     to_light: Float[Array, "images lights 3 #pixels"]
@@ -32,6 +34,7 @@ class Lamps(NamedTuple):
     ambient: Float[Array, "images channels #pixels"]
     veil: Float[Array, "images channels #pixels"]
     to_viewer: Float[Array, "3 #pixels"]
+    around: Float[Array, "images channels #pixels"] | None = None
 
 
 def make_lamps(

@@ -1,6 +1,5 @@
-"""Heights of highlights as functions of the exponent, for each light."""
+"""Heights of highlights, and their derivatives."""
 
-import abc
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
@@ -10,87 +9,57 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
+from phongfit.maps.pixel.small import optimization_barrier
 from phongfit.reflectance import AbstractSpecular
 
 # Logarithm below which the power of a lobe is set to 0: products of smaller ones are
 # denormal in single precision, and those are slow.
 FAINTEST = -36.0
-DARK = -1e30
-"""Stands for log 0: its exponential is 0 for every exponent."""
 
-Angles: TypeAlias = PyTree[Float[Array, "images lobes pixels"]]
-"""Arguments of the lobes from the geometry, for each light of an image."""
-
-Angle: TypeAlias = PyTree[Float[Array, "..."]]
-"""Argument of one light's lobe from the geometry, with as many axes as t."""
-
-Heights: TypeAlias = Callable[[Angle], tuple[Array, Array]]
-"""Function from a light's angles to its lobe's heights and their slopes in log f."""
+Lobe: TypeAlias = Callable[
+    [PyTree[Array], list[PyTree[Array]]], tuple[Array, tuple[Array, ...], Array]
+]
+"""Function from a model's cosine and its derivatives, (pixels,) each, to the height of
+the lobe, its derivatives in the same directions, and that in log f."""
 
 
-class AbstractLobes(eqx.Module):
-    """The lobes of a specular model."""
+def power_lobe(model: AbstractSpecular, t: Float[Array, " pixels"]) -> Lobe:
+    """A lobe that is its peak times a power of one cosine, at exponents e^t.
 
-    model: eqx.AbstractVar[AbstractSpecular]
+    The derivatives are written out, since XLA would otherwise compute a power for each.
+    """
+    one = jnp.ones_like(t)
+    peak, rise = jax.jvp(lambda t: model.lobe(one, jnp.exp(t)), (t,), (one,))
+    exponent, peak, rise = optimization_barrier((jnp.exp(t), peak, rise / peak))
 
-    @abc.abstractmethod
-    def angles(
-        self, cosine: PyTree[Float[Array, "..."]]
-    ) -> PyTree[Float[Array, "..."]]:
-        """Arguments of the lobes, computed once from the model's cosine."""
+    def lobe(
+        cosine: Array, turned: list[Array]
+    ) -> tuple[Array, tuple[Array, ...], Array]:
+        shiny = cosine > 0
+        base = jnp.where(shiny, cosine, 1)
+        power = exponent * jnp.log(base)
+        visible = shiny & (power > FAINTEST)
+        height = jnp.where(visible, peak * jnp.exp(power), 0)
+        steep = exponent * height / base
+        return height, tuple(steep * c for c in turned), (power + rise) * height
 
-    @abc.abstractmethod
-    def at(self, t: Float[Array, "*candidates groups #pixels"]) -> Heights:
-        """Function that gives heights at exponents e^t, to be called light by light."""
-
-
-class PowerLobes(AbstractLobes):
-    """Lobes that are powers of one cosine, times any height."""
-
-    model: AbstractSpecular
-
-    def angles(self, cosine: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Logarithm of the cosine; [`DARK`][] where it is not positive."""
-        positive = cosine > 0
-        # Rounding can make a cosine larger than 1.
-        logarithm = jnp.log(jnp.where(positive, cosine, 1))
-        return jnp.where(positive, jnp.minimum(logarithm, 0), DARK)
-
-    def at(self, t: Float[Array, "*candidates groups #pixels"]) -> Heights:
-        one = jnp.ones_like(t)
-
-        def height_at(t: Array) -> Array:
-            return self.model.lobe(one, jnp.exp(t))
-
-        height, rise = jax.jvp(height_at, (t,), (one,))
-        exponent, bend = jnp.exp(t), rise / height
-
-        def heights(logarithm: Angle) -> tuple[Array, Array]:
-            power = exponent * logarithm
-            lobe = height * jnp.where(power > FAINTEST, jnp.exp(power), 0)
-            return lobe, lobe * (power + bend)
-
-        return heights
+    return lobe
 
 
-class AnyLobes(AbstractLobes):
-    """Lobes of any form, with slopes by automatic differentiation."""
+def any_lobe(model: AbstractSpecular, t: Float[Array, " pixels"]) -> Lobe:
+    """A lobe of any form at exponents e^t, with automatic derivatives."""
 
-    model: AbstractSpecular
+    def height(cosine: PyTree[Array], t: Array) -> Array:
+        return model.lobe(cosine, jnp.exp(t))
 
-    def angles(
-        self, cosine: PyTree[Float[Array, "..."]]
-    ) -> PyTree[Float[Array, "..."]]:
-        return cosine
+    def lobe(
+        cosine: PyTree[Array], turned: list[PyTree[Array]]
+    ) -> tuple[Array, tuple[Array, ...], Array]:
+        here, rise = jax.jvp(lambda t: height(cosine, t), (t,), (jnp.ones_like(t),))
+        steep = [jax.jvp(lambda c: height(c, t), (cosine,), (c,))[1] for c in turned]
+        return here, tuple(steep), rise
 
-    def at(self, t: Float[Array, "*candidates groups #pixels"]) -> Heights:
-        def heights(cosine: Angle) -> tuple[Array, Array]:
-            def lobe(t: Array) -> Array:
-                return self.model.lobe(cosine, jnp.exp(t))
-
-            return jax.jvp(lobe, (t,), (jnp.ones_like(t),))
-
-        return heights
+    return lobe
 
 
 def is_power(model: AbstractSpecular) -> bool:

@@ -24,20 +24,6 @@ def loss_weights(
     return jnp.maximum(slope, 0)
 
 
-def loss_scores(
-    loss: AbstractLoss, residual: Float[Array, "*batch"]
-) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-    r"""Score $\psi(r) = r\, \rho'(r^2)$ and its slope, for the weights of maps.
-
-    **Arguments:** `residual`: in standard deviations.
-    """
-
-    def psi(r: Array) -> Array:
-        return r * loss_weights(loss, r)
-
-    return jax.jvp(psi, (residual,), (jnp.ones_like(residual),))
-
-
 def widening(
     loss: AbstractLoss,
     residual: Float[Array, "*batch"],
@@ -57,7 +43,7 @@ def widening(
     ??? cite "Source"
         Huber, *Robust statistics*, 1981, section 7.6.
     """
-    score, slope = loss_scores(loss, residual)
+    score, slope = loss.score(residual)
     count = jnp.maximum(jnp.sum(used), 1).astype(residual.dtype)
     freedom = jnp.maximum(count - unknowns, 1)
     square = jnp.sum(jnp.where(used, score**2, 0)) / freedom

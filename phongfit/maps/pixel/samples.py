@@ -14,7 +14,6 @@ from jaxtyping import Array, Float, Int, Shaped
 from phongfit.maps.pixel.lamps import Lamps, make_lamps
 from phongfit.maps.pixel.lighting import Lighting
 from phongfit.maps.pixel.settings import MapSettings
-from phongfit.maps.pixel.small import in_groups
 
 
 class Tile(NamedTuple):
@@ -126,7 +125,7 @@ def measured(
     if tile.table is None:
         # As floats, since sums of booleans are slow.
         unused = jnp.where(finite | (given <= 0), 0.0, 1.0).astype(light.dtype)
-        lost = in_groups(unused, 1)[:, 0]
+        lost = unused[:, 0] + unused[:, 1] + unused[:, 2]
     return Samples(light, share, lamps), lost
 
 

@@ -4,8 +4,10 @@ import dataclasses
 import math
 from typing import Literal
 
+from jaxtyping import Array, Float
+
 from phongfit.fitting.problem.losses import AbstractLoss, Linear
-from phongfit.maps.pixel.lobes import AbstractLobes, AnyLobes, PowerLobes
+from phongfit.maps.pixel.lobes import Lobe, any_lobe, power_lobe
 from phongfit.reflectance import AbstractSpecular, BlinnPhong
 
 COLUMNS = ("ambient", "diffuse")
@@ -75,10 +77,9 @@ class MapSettings:
         """(low, high) of a parameter."""
         return self.bounds[MAP_PARAMETERS.index(name)]
 
-    @property
-    def lobes(self) -> AbstractLobes:
-        """The model's lobes."""
-        return PowerLobes(self.model) if self.power else AnyLobes(self.model)
+    def lobe(self, t: Float[Array, " pixels"]) -> Lobe:
+        """The model's lobe at exponents e^t."""
+        return (power_lobe if self.power else any_lobe)(self.model, t)
 
     @property
     def log_bounds(self) -> tuple[float, float]:

@@ -12,7 +12,6 @@ import jax.numpy as jnp
 from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array
 
-from phongfit.maps.pixel.pixel import Outside, PixelFit, fit_pixels
 from phongfit.maps.pixel.samples import Tile
 from phongfit.maps.pixel.settings import MapSettings
 from phongfit.maps.pixel.small import KEEP_BARRIERS
@@ -21,25 +20,6 @@ BLOCK = 512
 """Pixels of a block: few enough that its arrays stay in cache."""
 
 T = TypeVar("T")
-
-
-def fit_tile(tile: Tile, outside: Outside, settings: MapSettings) -> PixelFit:
-    """Fit the materials of a tile's pixels, block by block: see [`fit_pixels`][].
-
-    **Arguments:**
-
-    - `tile`: a multiple of [`BLOCK`][] pixels.
-    - `outside`, `settings`: equal for all tiles.
-
-    **Returns:** a [`PixelFit`][] whose arrays have the pixels as their first axis.
-    """
-    starts = jnp.arange(0, tile.normal.shape[0], BLOCK)
-
-    def fit(start: Array) -> PixelFit:
-        return fit_pixels(tile.span(start, BLOCK), outside, settings)
-
-    blocks = jax.lax.map(fit, starts)
-    return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), blocks)
 
 
 def in_two_passes(tile: Tile, fit: Callable[[Tile, Array], tuple[T, Array]]) -> T:
@@ -109,7 +89,7 @@ class _Work(NamedTuple):
 
 
 @functools.lru_cache(maxsize=16)
-def compiled(settings: MapSettings, mesh: Mesh, fit: Callable[..., Any] = fit_tile):
+def compiled(settings: MapSettings, mesh: Mesh, fit: Callable[..., Any]):
     """Compiled `fit`, with pixels distributed over a mesh's devices.
 
     **Returns:** a function from tile and outside to [`PixelFit`][]`.arrays()`.

@@ -9,7 +9,7 @@ import phongfit as pf
 from data_synth.lights import spread_directions
 from phongfit.files.fits import DataRecord, DataSettings
 from phongfit.maps.folder import MapOptions, load_folder, save_folder
-from tests.maps.normals.scenes import FREE, Hidden, hide
+from tests.maps.pixel.scenes import FREE, Hidden, hide
 from tests.maps.synthetic import dtype, pulls
 
 BLINN = ((0.3, 10.0), (0.4, 60.0), (0.2, 30.0), (0.45, 20.0))

@@ -1,4 +1,4 @@
-"""The unknowns of a pixel whose normal is fitted, and their values."""
+"""The unknowns of a pixel and their values."""
 
 from typing import NamedTuple
 
@@ -25,21 +25,32 @@ class Point(NamedTuple):
 
 
 class Unknowns(NamedTuple):
-    """The unknowns of a [`Point`][] besides its normal.
+    """The unknowns of a [`Point`][].
 
+    - `normal`: whether the normal is unknown.
     - `own`: reflectances that are unknown in each channel separately.
     - `exponent`: whether f is unknown.
     - `one_specular`: whether one ρ_s of all channels is unknown.
+    - `each_specular`: whether the ρ_s of each of three channels is among the shared
+        unknowns, instead of the channel's own.
     """
 
     own: tuple[str, ...]
     exponent: bool
     one_specular: bool
+    normal: bool = True
+    each_specular: bool = False
 
     @property
     def n_shared(self) -> int:
         """Number of unknowns that the channels share: two of the normal, f, ρ_s."""
-        return 2 + self.exponent + self.one_specular
+        strengths = self.one_specular + 3 * self.each_specular
+        return self.place + self.exponent + strengths
+
+    @property
+    def place(self) -> int:
+        """Index of log f among the unknowns that the channels share."""
+        return 2 * self.normal
 
 
 def unknowns_of(settings: MapSettings) -> Unknowns:
@@ -50,7 +61,7 @@ def unknowns_of(settings: MapSettings) -> Unknowns:
         for name in ("ambient", "diffuse", "specular")
         if name in settings.names and not (name == "specular" and shared)
     )
-    return Unknowns(own, settings.searched, shared)
+    return Unknowns(own, settings.searched, shared, settings.normals == "fit")
 
 
 def tangents(

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from phongfit.fitting.problem.losses import Linear
-from phongfit.maps.normals.sums import gather
-from phongfit.maps.normals.unknowns import Point, tangents, unknowns_of
 from phongfit.maps.pixel.lamps import make_lamps
 from phongfit.maps.pixel.lighting import make_lighting
 from phongfit.maps.pixel.samples import Samples
 from phongfit.maps.pixel.settings import MapSettings
+from phongfit.maps.pixel.sums import gather
+from phongfit.maps.pixel.unknowns import Point, tangents, unknowns_of
 from tests.maps.synthetic import dtype
 
 
@@ -48,7 +47,7 @@ def test_pulls_are_half_of_the_cost_s_slope(one_specular):
 
     @jax.jit
     def sums(point: Point):
-        return gather(point, samples, scale, Linear(), settings.model, which)
+        return gather(point, samples, scale, settings, which)
 
     def cost(moved):
         a, b, t, ambient, diffuse, specular = moved

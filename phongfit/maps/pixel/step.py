@@ -1,7 +1,7 @@
 """One damped Gauss-Newton step, in the box of the reflectances.
 
 The channels are coupled only by the unknowns that they share. So each channel's own
-unknowns are eliminated first, which leaves a matrix of the two to four shared ones.
+unknowns are eliminated first, which leaves a matrix of at most four shared ones.
 """
 
 from typing import NamedTuple
@@ -9,8 +9,6 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from phongfit.maps.normals.sums import Sums, over_channels
-from phongfit.maps.normals.unknowns import Point, Unknowns, tangents, turned_to
 from phongfit.maps.pixel.settings import MapSettings
 from phongfit.maps.pixel.small import (
     Factors,
@@ -24,9 +22,9 @@ from phongfit.maps.pixel.small import (
     solve,
     times,
 )
+from phongfit.maps.pixel.sums import Sums, over_channels
+from phongfit.maps.pixel.unknowns import Point, Unknowns, tangents, turned_to
 
-# Index of log f among the unknowns that the channels share.
-EXPONENT = 2
 # Longest steps: of the normal in radians, and of log f.
 FARTHEST = 0.3
 LONGEST = 0.7
@@ -100,7 +98,7 @@ def reduce_sums(sums: Sums, damping: Float[Array, " pixels"], free: Free) -> Red
 def make_move(sums: Sums, damping: Float[Array, " pixels"], free: Free) -> Move:
     """The damped step of all free unknowns."""
     reduced = reduce_sums(sums, damping, free)
-    shared = solve(factorize(reduced.shared), reduced.pull)
+    shared = solve(factorize(reduced.shared), reduced.pull) if reduced.shared else ()
     left = _of_free(sums.pull_own, free.own)
     for x, row in zip(shared, reduced.cross, strict=True):
         left = tuple(b - x[None] * c for b, c in zip(left, row, strict=True))
@@ -109,15 +107,15 @@ def make_move(sums: Sums, damping: Float[Array, " pixels"], free: Free) -> Move:
     return optimization_barrier(Move(own, shared, promised))
 
 
-def respond(sums: Sums, free: Free) -> Move:
-    """Change of all other unknowns when log f increases by one."""
+def respond(sums: Sums, free: Free, place: int) -> Move:
+    """Change of all other unknowns when log f, at `place`, increases by one."""
     still = jnp.zeros_like(sums.cost)
     shared = list(free.shared)
-    shared[EXPONENT] = jnp.zeros_like(shared[EXPONENT])
+    shared[place] = jnp.zeros_like(shared[place])
     pulled = sums._replace(
-        pull_own=tuple(-number for number in sums.cross[EXPONENT]),
+        pull_own=tuple(-number for number in sums.cross[place]),
         pull_shared=tuple(
-            -entry(sums.shared, EXPONENT, k) for k in range(len(sums.shared))
+            -entry(sums.shared, place, k) for k in range(len(sums.shared))
         ),
     )
     return make_move(pulled, still, Free(free.own, tuple(shared)))
@@ -167,9 +165,9 @@ def free_to_move(point: Point, sums: Sums, which: Unknowns, edges: Edges) -> Fre
         for name, pull, edge in zip(which.own, sums.pull_own, edges.own, strict=True)
     )
     always = jnp.ones(point.log_exponent.shape, bool)
-    shared = [always, always]
+    shared = [always] * which.place
     if which.exponent:
-        pull = sums.pull_shared[EXPONENT]
+        pull = sums.pull_shared[which.place]
         shared.append(inward(point.log_exponent, pull, edges.log_exponent))
     if which.one_specular:
         pull = sums.pull_shared[-1]
@@ -194,7 +192,7 @@ def steadied(sums: Sums, which: Unknowns, edges: Edges) -> Sums:
 
     shared = {}
     if which.exponent:
-        shared[EXPONENT] = edges.log_exponent
+        shared[which.place] = edges.log_exponent
     if which.one_specular:
         shared[which.n_shared - 1] = edges.specular
     own = dict(enumerate(edges.own))
@@ -235,17 +233,19 @@ def moved(
     edges: Edges,
 ) -> Point:
     """The point after a step, clipped to its box, with the normal facing the viewer."""
-    first, second = tangents(point.normal)
-    a, b = move.shared[:2]
-    far = jnp.sqrt(a**2 + b**2)
-    shorter = jnp.minimum(1, FARTHEST / jnp.where(far > 0, far, 1))
-    normal = point.normal + (shorter * a)[None] * first + (shorter * b)[None] * second
-    found = point._replace(normal=turned_to(normal, to_viewer))
+    found = point
+    if which.normal:
+        first, second = tangents(point.normal)
+        a, b = move.shared[:2]
+        far = jnp.sqrt(a**2 + b**2)
+        shorter = jnp.minimum(1, FARTHEST / jnp.where(far > 0, far, 1))[None]
+        normal = point.normal + shorter * (a[None] * first + b[None] * second)
+        found = point._replace(normal=turned_to(normal, to_viewer))
     for name, step, (low, high) in zip(which.own, move.own, edges.own, strict=True):
         value = jnp.clip(getattr(point, name) + step, low, high)
         found = found._replace(**{name: value})
     if which.exponent:
-        step = jnp.clip(move.shared[EXPONENT], -LONGEST, LONGEST)
+        step = jnp.clip(move.shared[which.place], -LONGEST, LONGEST)
         t = jnp.clip(point.log_exponent + step, *edges.log_exponent)
         found = found._replace(log_exponent=t)
     if which.one_specular:

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from phongfit.maps.normals.handedness import is_mirrored
+from phongfit.maps.handedness import is_mirrored
 
 
 def bumps(size: int = 96) -> np.ndarray:

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from phongfit.maps.normals.step import (
-    EXPONENT,
+from phongfit.maps.pixel.settings import MapSettings
+from phongfit.maps.pixel.step import (
     Free,
     Move,
     adapt_own,
@@ -17,9 +17,8 @@ from phongfit.maps.normals.step import (
     respond,
     steadied,
 )
-from phongfit.maps.normals.sums import Sums
-from phongfit.maps.normals.unknowns import Point, unknowns_of
-from phongfit.maps.pixel.settings import MapSettings
+from phongfit.maps.pixel.sums import Sums
+from phongfit.maps.pixel.unknowns import Point, unknowns_of
 from tests.maps.synthetic import dtype
 
 SETTINGS = MapSettings(names=("diffuse", "specular", "shininess"), normals="fit")
@@ -103,13 +102,13 @@ def test_what_reflectances_give_alone_is_exact_in_the_box(model, value):
 def test_all_else_follows_the_exponent(model):
     """No other move with the same step of log f costs less."""
     sums = model.sums()
-    follow = jax.jit(lambda: respond(sums, free()))()
+    follow = jax.jit(lambda: respond(sums, free(), WHICH.place))()
     best = jax.jit(lambda: make_move(sums, jnp.zeros(PIXELS, dtype()), free()))()
     there = 0.2
 
     def off(move: Move) -> Move:
         shared = list(move.shared)
-        shared[EXPONENT] = jnp.full(PIXELS, 1.0, dtype())
+        shared[WHICH.place] = jnp.full(PIXELS, 1.0, dtype())
         own = tuple(there * x for x in move.own)
         return Move(own, tuple(there * x for x in shared), move.decrement)
 

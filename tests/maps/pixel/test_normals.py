@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from tests.maps.normals.scenes import FREE, NOISE, Hidden, hide
+from tests.maps.pixel.scenes import FREE, NOISE, Hidden, hide
 from tests.maps.synthetic import pulls
 
 

@@ -7,12 +7,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from phongfit.fitting.problem.losses import Cauchy
-from phongfit.maps.normals.scale import median_scale
-from phongfit.maps.normals.unknowns import turned_to, unit
 from phongfit.maps.pixel.lamps import facing, grey
 from phongfit.maps.pixel.robust import loss_weights
 from phongfit.maps.pixel.samples import Samples
+from phongfit.maps.pixel.scale import median_scale
 from phongfit.maps.pixel.small import Numbers, Triangle, factorize, solve
+from phongfit.maps.pixel.unknowns import turned_to, unit
 
 # Rounds of reweighting of a matte surface.
 ROUNDS = 5

@@ -8,18 +8,19 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
-from phongfit.fitting.problem.losses import AbstractLoss
-from phongfit.maps.normals.unknowns import Point, Unknowns, tangents
 from phongfit.maps.pixel.lamps import Lamps, at_pixels
+from phongfit.maps.pixel.lobes import Lobe
 from phongfit.maps.pixel.robust import loss_weights
 from phongfit.maps.pixel.samples import Samples
+from phongfit.maps.pixel.settings import MapSettings
 from phongfit.maps.pixel.small import (
     Numbers,
     Triangle,
     optimization_barrier,
 )
+from phongfit.maps.pixel.unknowns import Point, Unknowns, tangents
 from phongfit.reflectance import AbstractSpecular
 from phongfit.vectors import Scalar, Vec3, dot
 
@@ -46,76 +47,44 @@ class Sums(NamedTuple):
 
 
 class Shade(NamedTuple):
-    """One light on pixels: Lambert's D and the lobe S, and their derivatives.
+    """Light on pixels: Lambert's D, the lobe S, and their derivatives.
 
-    `d1`, `d2`, `s1`, `s2` are derivatives along the two tangents of the normal, `st`
-    that of S with respect to log f; (pixels,) each.
+    `d_turned`, `s_turned` are derivatives along the two tangents of the normal, if it
+    is unknown; `st` is that of S with respect to log f.
     """
 
     d: Array
-    d1: Array
-    d2: Array
+    d_turned: Numbers
     s: Array
-    s1: Array
-    s2: Array
+    s_turned: Numbers
     st: Array
-
-
-class Peak(NamedTuple):
-    """A lobe's height at its centre, and the slope of its logarithm in log f."""
-
-    height: Float[Array, " pixels"]
-    slope: Float[Array, " pixels"]
-
-
-def peak_of(model: AbstractSpecular, log_exponent: Float[Array, " pixels"]) -> Peak:
-    """Peaks of pixels' lobes: a lobe is its peak times a power of the cosine."""
-    one = jnp.ones_like(log_exponent)
-
-    def height(t: Array) -> Array:
-        return model.lobe(one, jnp.exp(t))
-
-    top, slope = jax.jvp(height, (log_exponent,), (one,))
-    return optimization_barrier(Peak(top, slope / top))
 
 
 def shade(
     model: AbstractSpecular,
     normal: Float[Array, "3 pixels"],
-    log_exponent: Float[Array, " pixels"],
-    peak: Peak,
+    lobe: Lobe,
+    directions: tuple[Float[Array, "3 pixels"], ...],
     to_light: Float[Array, "3 #pixels"],
     to_viewer: Float[Array, "3 #pixels"],
 ) -> Shade:
-    """Shade of one light, for a specular model whose lobe is a power of the cosine.
+    """Shade of one light; `directions` are the tangents of an unknown normal."""
 
-    The derivatives of the cosine along the tangents are automatic. The derivatives of
-    the power are written out, since XLA would otherwise compute three powers.
-    """
-
-    def pixel(
-        normal: Vec3, first: Vec3, second: Vec3, light: Vec3, viewer: Vec3
-    ) -> tuple[Scalar, ...]:
+    def pixel(normal: Vec3, light: Vec3, viewer: Vec3, *directions: Vec3) -> tuple:
         # Not renormalised: a step along a tangent keeps the length to first order.
-        def cosine(turned: Vec3) -> Scalar:
+        def cosine(turned: Vec3) -> PyTree[Scalar]:
             return model.cosine(turned, light, viewer)
 
-        c, c1 = jax.jvp(cosine, (normal,), (first,))
-        _, c2 = jax.jvp(cosine, (normal,), (second,))
-        return c, c1, c2, dot(normal, light), dot(first, light), dot(second, light)
+        turned = [jax.jvp(cosine, (normal,), (one,))[1] for one in directions]
+        along = [dot(one, light) for one in directions]
+        return cosine(normal), turned, dot(normal, light), along
 
-    vectors = normal, *tangents(normal), to_light, to_viewer
-    c, c1, c2, d, d1, d2 = at_pixels(pixel, *vectors)
-    lit, shiny = d > 0, c > 0
-    scale = jnp.where(lit, model.diffuse_scale(), 0)
-    base = jnp.where(shiny, c, 1)
-    exponent, logarithm = jnp.exp(log_exponent), jnp.log(base)
-    s = jnp.where(shiny, peak.height * jnp.exp(exponent * logarithm), 0)
-    steep = exponent * s / base
-    st = (exponent * logarithm + peak.slope) * s
-    return optimization_barrier(
-        Shade(scale * d, scale * d1, scale * d2, s, steep * c1, steep * c2, st)
-    )
+    vectors = normal, to_light, to_viewer, *directions
+    cosine, turned, d, along = at_pixels(pixel, *vectors)
+    scale = jnp.where(d > 0, model.diffuse_scale(), 0)
+    s, steep, st = lobe(cosine, turned)
+    tilted = tuple(scale * one for one in along)
+    return optimization_barrier(Shade(scale * d, tilted, s, steep, st))
 
 
 class Image(NamedTuple):
@@ -128,7 +97,7 @@ class Image(NamedTuple):
 
 def model_image(
     point: Point,
-    peak: Peak,
+    lobe: Lobe,
     lamps: Lamps,
     image: Array,
     model: AbstractSpecular,
@@ -136,32 +105,34 @@ def model_image(
 ) -> Image:
     """Light of one image at a point, and its derivatives in all unknowns."""
     nothing = jnp.zeros_like(point.diffuse)
-    total = Shade(*[nothing] * 7)
+    directions = tangents(point.normal) if which.normal else ()
+    still = (nothing,) * len(directions)
+    total = Shade(nothing, still, nothing, still, nothing)
     diffuse, specular = lamps.diffuse[image], lamps.specular[image]
     lights = lamps.to_light[image]
     for j in range(lights.shape[0]):
-        one = shade(
-            model, point.normal, point.log_exponent, peak, lights[j], lamps.to_viewer
-        )
+        one = shade(model, point.normal, lobe, directions, lights[j], lamps.to_viewer)
         e, h = diffuse[j], specular[j]
-        strength = Shade(e, e, e, h, h, h, h)
-        total = Shade(
-            *(
-                sum_ + each * shape[None]
-                for sum_, each, shape in zip(total, strength, one, strict=True)
-            )
+        strength = Shade(e, (e,) * len(still), h, (h,) * len(still), h)
+        total = jax.tree.map(
+            lambda sum_, each, shape: sum_ + each * shape[None], total, strength, one
         )
+    if lamps.around is not None:
+        total = total._replace(d=total.d + lamps.around[image])
     ambient = lamps.ambient[image] + nothing
     light = point.ambient * ambient + point.diffuse * total.d + point.specular * total.s
     basis = {"ambient": ambient, "diffuse": total.d, "specular": total.s}
     shared = [
-        point.diffuse * total.d1 + point.specular * total.s1,
-        point.diffuse * total.d2 + point.specular * total.s2,
+        point.diffuse * d + point.specular * s
+        for d, s in zip(total.d_turned, total.s_turned, strict=True)
     ]
     if which.exponent:
         shared.append(point.specular * total.st)
     if which.one_specular:
         shared.append(total.s)
+    if which.each_specular:
+        channels = jnp.eye(3, dtype=total.s.dtype)
+        shared.extend(total.s * channel[:, None] for channel in channels)
     own = tuple(basis[name] for name in which.own)
     return Image(light, own, tuple(shared))
 
@@ -170,15 +141,15 @@ def gather(
     point: Point,
     samples: Samples,
     scale: Float[Array, " pixels"],
-    loss: AbstractLoss,
-    model: AbstractSpecular,
+    settings: MapSettings,
     which: Unknowns,
 ) -> Sums:
     """All sums at a point, with residuals in units of `scale`."""
-    peak = peak_of(model, point.log_exponent)
+    loss, model = settings.loss, settings.model
+    lobe = settings.lobe(point.log_exponent)
 
     def add(image: Array, totals: _Totals) -> _Totals:
-        made = model_image(point, peak, samples.lamps, image, model, which)
+        made = model_image(point, lobe, samples.lamps, image, model, which)
         share = samples.share[image] / scale[None]
         residual = share * (samples.target[image] - made.light)
         weight = loss_weights(loss, residual) * share
@@ -271,14 +242,14 @@ def over_channels(values: Float[Array, "channels pixels"]) -> Float[Array, " pix
 
 
 def residuals(
-    point: Point, samples: Samples, model: AbstractSpecular, which: Unknowns
+    point: Point, samples: Samples, settings: MapSettings, which: Unknowns
 ) -> Float[Array, "images channels pixels"]:
     """Residuals (measured − model) · share; 0 for unused samples."""
 
-    peak = peak_of(model, point.log_exponent)
+    lobe, model = settings.lobe(point.log_exponent), settings.model
 
     def image(_: None, number: Array) -> tuple[None, Array]:
-        made = model_image(point, peak, samples.lamps, number, model, which)
+        made = model_image(point, lobe, samples.lamps, number, model, which)
         return None, samples.share[number] * (samples.target[number] - made.light)
 
     return jax.lax.scan(image, None, jnp.arange(samples.target.shape[0]))[1]
