@@ -67,7 +67,7 @@ def compare(answers: Answers) -> Marks:
     truth, deviation = answers.truth, np.abs(answers.estimate - answers.truth)
     rounding = ROUNDING * np.abs(truth)
     trusted = finite & ~warned[:, None]
-    # An interval may be asymmetric; its side towards the truth counts as an error, too.
+    # An interval may be asymmetric; the error is at least its side towards the truth.
     side = np.where(truth > answers.estimate, answers.high, answers.low)
     error = np.fmax(answers.error, np.abs(side - answers.estimate) / REACH)
     reach = np.where(answers.at_bound, FAR**2, FAR) * error

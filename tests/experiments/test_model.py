@@ -10,7 +10,7 @@ def test_what_each_number_does(found):
     numbers = finding.numbers
     assert not finding.failed_checks
     # Light is proportional to ρ_d and ρ_a; the ambient light is 0.4.
-    assert numbers["bent"] < 1e-6
+    assert numbers["nonlinearity"] < 1e-6
     np.testing.assert_allclose(numbers["ambient_rise"], 0.4 * np.array(FRACTIONS), 1e-6)
     peak = numbers["diffuse_peak"]
     np.testing.assert_allclose(peak, peak[-1] * np.array(FRACTIONS), atol=1e-6)
