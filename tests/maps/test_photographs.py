@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from experiments.fit_photographs import WHOLE, fit, half, predict, read, rmse_over_mean
+from experiments.fit_photographs import (
+    ALL_PARAMETERS,
+    every_second,
+    fit,
+    predict,
+    read,
+    rmse_over_mean,
+)
 from tests.helpers import photographs
 
 
@@ -12,8 +19,8 @@ from tests.helpers import photographs
 def test_left_out_photographs_are_predicted_better_than_by_one_material():
     """One highlight for the whole ball, seen by one light in a pixel at most."""
     data = read(photographs("diligent_ball"))
-    seen, unseen = half(data, 0), half(data, 1)
-    one = fit(seen, WHOLE, ())
+    seen, unseen = every_second(data, 0), every_second(data, 1)
+    one = fit(seen, ALL_PARAMETERS, ())
     maps = pf.fit_maps(
         seen.scenes,
         seen.images,
@@ -21,7 +28,7 @@ def test_left_out_photographs_are_predicted_better_than_by_one_material():
         film=data.film,
         unknowns=("ambient", "diffuse"),
         known=one.material,
-        per_channel=WHOLE,
+        per_channel=ALL_PARAMETERS,
     )
     single, each = (
         rmse_over_mean(unseen, predict(unseen, material))
