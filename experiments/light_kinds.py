@@ -15,6 +15,7 @@ import phongfit as pf
 from experiments import style
 from experiments.balls import ball
 from experiments.finding import Experiment, Finding, Table
+from phongfit.material import stack_materials
 
 HEIGHT = 2.0
 """Height of the lamps over the floor, world units."""
@@ -24,7 +25,7 @@ DENSITY = 0.25
 SUN = (1.0, 1.0, 0.3)
 RADIUS = 0.45
 FLOOR = 0
-MATERIAL = pf.stack_materials(
+MATERIAL = stack_materials(
     [
         pf.Material((0.55, 0.5, 0.42), 0.0, 10.0, (0.55, 0.5, 0.42)),
         pf.Material((0.1, 0.35, 0.55), 0.5, 40.0, (0.1, 0.35, 0.55)),

@@ -17,6 +17,7 @@ import phongfit as pf
 from experiments.opengl_scene import scene_from_opengl
 from experiments.opengl_state import material_from_opengl
 from phongfit.files.inputs import naming, read_text
+from phongfit.material import stack_materials
 
 Arrays = dict[str, np.ndarray]
 
@@ -164,7 +165,7 @@ def _raytraced(name: str, record: dict[str, Any], arrays: Arrays) -> Reference:
     return Reference(
         name=name,
         scene=scene,
-        material=pf.stack_materials(pf.Material(**one) for one in record["materials"]),
+        material=stack_materials(pf.Material(**one) for one in record["materials"]),
         film=pf.Film(bits=16),
         image=arrays["image"],
         covered=covered_pixels(arrays["image"], np.asarray(record["background"])),

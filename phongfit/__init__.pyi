@@ -93,7 +93,6 @@ from .maps.view_angle import fit_fov as fit_fov
 from .material import (
     Material as Material,
     preset as preset,
-    stack_materials as stack_materials,
 )
 from .microfacets import (
     GGX as GGX,

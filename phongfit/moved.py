@@ -19,7 +19,7 @@ MOVED = {
     "maps.result": "BasisMaterials Strengths",
     "maps.stacks": "AbstractStack",
     "maps.view_angle": "FovFit seen_over",
-    "material": "PRESETS unstack_materials",
+    "material": "PRESETS stack_materials unstack_materials",
     "microfacets": "roughness_from_shininess shininess_from_roughness",
     "reflectance": "blinn_from_phong phong_from_blinn",
     "rendering": "JpegCompression PixelTerms ShadingTerms combine pixel_terms",

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 import phongfit as pf
 from phongfit.edge import checked, kind_of, shown
-from phongfit.material import Material
+from phongfit.material import Material, stack_materials
 from phongfit.reflectance import blinn_from_phong, phong_from_blinn
 
 ONE = Material()
@@ -179,7 +179,7 @@ FIT_DATA = (SCENE, np.zeros((4, 4, 3), np.float32))
         (lambda: pf.geometry.join([1]), "meshes"),  # pyright: ignore
         (lambda: pf.geometry.join(x for x in (1, 2)), "meshes"),  # pyright: ignore
         (lambda: pf.predict_errors(SCENE, 3, 0.1), "material"),  # pyright: ignore
-        (lambda: pf.stack_materials(ONE), "materials"),  # pyright: ignore
+        (lambda: stack_materials(ONE), "materials"),  # pyright: ignore
         (lambda: blinn_from_phong([1, 2]), "shininess"),  # pyright: ignore
         (lambda: pf.load_scene(3), "path"),  # pyright: ignore
         (lambda: pf.read_image("a.png", np.ones(3)), "encoding"),  # pyright: ignore

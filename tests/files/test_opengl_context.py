@@ -15,6 +15,7 @@ import pytest
 
 import phongfit as pf
 from experiments import textured_object
+from phongfit.material import stack_materials
 from tests.files import opengl_context
 from tests.helpers import known
 
@@ -52,7 +53,7 @@ def scenes():
         pf.SpotLight((1, 2, 2), (-1, -2, -2), 0.7, cutoff=25, exponent=3),
     )
     shiny = pf.Material((0.6, 0.3, 0.2), 0.5, 40.0, 0.4, (0.02, 0.01, 0.03))
-    two = pf.stack_materials([shiny, pf.preset("brass")])
+    two = stack_materials([shiny, pf.preset("brass")])
     smooth, flat = pf.GouraudShading(clamp=True), pf.FlatShading("last_vertex", True)
     bright = pf.Material(1.0, 1.0, 5.0, 1.0)
     return [

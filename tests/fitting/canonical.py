@@ -15,6 +15,7 @@ import numpy as np
 import phongfit as pf
 from phongfit.files.images import from_levels, to_levels
 from phongfit.geometry.shading import AbstractShading
+from phongfit.material import stack_materials
 from tests.fitting.scenes import SIZE, ball, photograph, truth, two_lights
 
 NOISE = 0.01
@@ -138,7 +139,7 @@ def priors_and_ties() -> Solved:
 @functools.cache
 def mesh() -> Solved:
     """A coarse mesh of two materials in fog, lit in its corners."""
-    material = pf.stack_materials([truth(), plastic()])
+    material = stack_materials([truth(), plastic()])
     return solved(mesh_scene(pf.GouraudShading()), material)
 
 

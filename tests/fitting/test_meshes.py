@@ -5,10 +5,11 @@ import pytest
 
 import phongfit as pf
 from experiments.references import REFERENCES, read_reference
+from phongfit.material import stack_materials
 from tests.fitting import canonical
 from tests.fitting.scenes import SIZE, photograph, truth
 
-TRUTH = pf.stack_materials([truth(), canonical.plastic()])
+TRUTH = stack_materials([truth(), canonical.plastic()])
 
 
 # Gouraud's is `canonical.mesh`, which `test_fit` holds.

@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
+from phongfit.material import stack_materials
 from tests.helpers import near
 
 # Two triangles of a square in the plane z = 0, of two materials.
@@ -100,7 +101,7 @@ def image_of(mesh, shading, material):
 @pytest.mark.parametrize("shading", SHADINGS)
 def test_several_materials_in_a_mesh(shading):
     materials = [pf.Material(0.8, 0.4, 9.0), pf.Material((0.2, 0.3, 0), 0.1, 30.0, 1)]
-    together = pf.stack_materials(materials)
+    together = stack_materials(materials)
     image = image_of(square(material_index=[1, 0]), shading, together)
     first, second = (image_of(square(), shading, one) for one in materials)
     lower = np.arange(8)[:, None] + np.arange(8) >= 8

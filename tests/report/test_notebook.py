@@ -9,7 +9,7 @@ import numpy as np
 
 import phongfit as pf
 from data_synth import make_lights
-from phongfit.material import PRESETS
+from phongfit.material import PRESETS, stack_materials
 
 
 def pictures(html: str) -> list[np.ndarray]:
@@ -40,7 +40,7 @@ def test_a_material_looks_like_itself():
 
 
 def test_several_materials_and_maps():
-    every = pf.stack_materials([pf.preset(name) for name in PRESETS[:10]])
+    every = stack_materials([pf.preset(name) for name in PRESETS[:10]])
     html = every._repr_html_()
     assert len(pictures(html)) == 8 and "and 2 more materials" in html
     ramp = np.linspace(0, 1, 600).reshape(1, 600, 1) * np.ones((20, 1, 3))

@@ -22,6 +22,7 @@ from experiments.honesty.situations.base import (
     usual_material,
     usual_subject,
 )
+from phongfit.material import stack_materials
 
 PARAMETERS = ("ambient", "diffuse", "specular", "shininess")
 
@@ -105,7 +106,7 @@ def three_materials() -> Subject:
     heights = np.asarray(whole.vertices)[np.asarray(whole.faces)].mean(axis=1)[:, 1]
     bands = np.digitize(heights, (-0.3, 0.35))
     surface = pf.Mesh(whole.vertices, whole.faces, whole.normals, bands)
-    materials = pf.stack_materials(
+    materials = stack_materials(
         [
             MATERIAL,
             pf.Material((0.2, 0.5, 0.3), 0.5, 40.0, 0.5),

@@ -69,7 +69,7 @@ def _parts() -> dict[str, Any]:
 def _calls() -> dict[str, Call]:
     """Every public function and class that a user calls, with good arguments."""
     import phongfit as pf
-    from phongfit.material import unstack_materials
+    from phongfit.material import stack_materials, unstack_materials
     from phongfit.reflectance import blinn_from_phong, phong_from_blinn
 
     p = _parts()
@@ -224,7 +224,7 @@ def _calls() -> dict[str, Call]:
         "blinn_from_phong": (blinn_from_phong, dict(shininess=np.float32(3.0))),
         "phong_from_blinn": (phong_from_blinn, dict(shininess=np.ones(3))),
         "preset": (pf.preset, dict(name="brass")),
-        "stack_materials": (pf.stack_materials, dict(materials=[material, material])),
+        "stack_materials": (stack_materials, dict(materials=[material, material])),
         "unstack_materials": (
             unstack_materials, dict(material=material, count=None)
         ),

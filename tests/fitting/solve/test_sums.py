@@ -18,6 +18,7 @@ from phongfit.fitting.problem.samples import gather, seen_pixels
 from phongfit.fitting.problem.specification import Specification
 from phongfit.fitting.solve.solution import _unit, few_residuals, solve
 from phongfit.fitting.solve.sums import colours, linearize, sums
+from phongfit.material import stack_materials
 from tests.fitting.scenes import as_vector, ball, photograph, truth, unknowns_of
 from tests.helpers import eps, floats
 
@@ -60,7 +61,7 @@ def problem_of(kind: str) -> tuple[Problem, jax.Array]:
     """A problem with noise and some white pixels, and a point off its optimum."""
     scene, options = KINDS[kind]
     scenes = scene if isinstance(scene, list) else [scene]
-    material = pf.stack_materials([TRUTH] * 2) if scenes[0] is TWO else TRUTH
+    material = stack_materials([TRUTH] * 2) if scenes[0] is TWO else TRUTH
     images = [
         photograph(one, material, noise=NOISE, seed=k) for k, one in enumerate(scenes)
     ]
