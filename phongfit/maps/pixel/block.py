@@ -15,6 +15,7 @@ from phongfit.maps.pixel.samples import Samples, Tile, measured, pixels_last
 from phongfit.maps.pixel.scale import (
     count_used,
     final_scale,
+    median_scale,
     most_by_chance,
     students_t,
 )
@@ -131,7 +132,7 @@ def judged(
     thorough: Array | bool = True,
 ) -> tuple[PixelFit, Bool[Array, " pixels"]]:
     """Add errors and flags to a result, and mark pixels for a thorough search."""
-    point, channels = found.point, point_channels(settings)
+    point, channels = found.point, fitted_apart(settings)
     level, unit, misfit = _noise_left(found, samples, outside, settings)
     edges = edges_of(settings, which)
     rival = found.rival / unit**2
@@ -180,21 +181,25 @@ def judged(
             return jnp.zeros((len(level), 3), level.dtype)
         return jnp.where(identified[None], rows(error), jnp.inf).T
 
-    exponent = jnp.exp(point.log_exponent)
+    exponent = jnp.broadcast_to(
+        outside.known.shininess[:, None], (channels, len(level))
+    )
     exponent_error = jnp.zeros_like(exponent)
     if which.exponent:
-        exponent = jnp.clip(exponent, *settings.bound("shininess"))
-        exponent_error = jnp.where(
-            jnp.tile(identified, channels), errors.exponent, jnp.inf
+        t, error = (
+            values.reshape(channels, -1)
+            for values in (point.log_exponent, errors.exponent)
         )
+        exponent = jnp.clip(jnp.exp(t), *settings.bound("shininess"))
+        exponent_error = jnp.where(identified[None], error, jnp.inf)
     names = ("ambient", "diffuse", "specular")
     deviations = {name: error_of(name) for name in names}
-    deviations["shininess"] = exponent_error.reshape(channels, -1).T
+    deviations["shininess"] = exponent_error.T
     fit = PixelFit(
         ambient=rows(point.ambient).T,
         diffuse=rows(point.diffuse).T,
         specular=rows(point.specular).T,
-        shininess=exponent.reshape(channels, -1).T,
+        shininess=exponent.T,
         stderr=deviations,
         noise=level,
         samples=count.astype(jnp.int32),
@@ -207,8 +212,8 @@ def judged(
     return fit, unsettled & ~thorough
 
 
-def point_channels(settings: MapSettings) -> int:
-    """Number of channels that are fitted apart, as pixels of one channel."""
+def fitted_apart(settings: MapSettings) -> int:
+    """Number of channels that are fitted separately, as pixels of one channel."""
     return 1 if settings.shared else 3
 
 
@@ -222,7 +227,7 @@ def _noise_left(
 
     The unit of the errors is in units of the search's scale of the residuals.
     """
-    channels, noise, loss = point_channels(settings), outside.noise, settings.loss
+    channels, noise, loss = fitted_apart(settings), outside.noise, settings.loss
     unknowns = settings.unknowns(samples.target.shape[1])
     left, used = found.left, samples.share > 0
     count = count_used(samples.share)
@@ -251,7 +256,13 @@ def _noise_left(
     if not settings.noise_given:
         sigma = own if loss.robust else everywhere
         return level, wider * sigma / found.scale, jnp.zeros(level.shape, bool)
-    heard = total * (MEDIAN if loss.robust else 1)
-    misfit = (level / noise) ** 2 > most_by_chance(heard)
-    unit = jnp.where(jnp.tile(misfit, channels), wider * everywhere / noise, unit)
+    seen, heard = level, total
+    if loss.robust:
+        # The weights of the loss hide samples that the model does not describe.
+        middle = median_scale(left, samples.share, unknowns)
+        seen = jnp.sqrt(whole(freedom * middle**2) / total)
+        heard = MEDIAN * total
+    misfit = (seen / noise) ** 2 > most_by_chance(heard)
+    wider = wider * jnp.tile(seen, channels) / noise
+    unit = jnp.where(jnp.tile(misfit, channels), wider, unit)
     return level, unit, misfit

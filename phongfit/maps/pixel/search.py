@@ -329,18 +329,25 @@ def _try_exponents(
     best, cost = _pick(points, number), jnp.min(costs, axis=0)
     unknowns = settings.unknowns(size[0])
     freedom = jnp.maximum(count_used(samples.share) - unknowns, 1)
-    other, near = best, jnp.zeros(size[1:], bool)
-    wide = scale * jnp.sqrt(cost / freedom)
-    if settings.loss.robust:
-        rivals = _rivals(points, costs, number)
-        other = _pick(points, rivals.starts[1])
-        near = rivals.gaps[1] * freedom <= FAR_OFF * cost
-        left = residuals(best, samples, settings, which)
-        wide = median_scale(left, samples.share, unknowns)
-    if settings.noise_given:
-        floor = wide if settings.loss.robust else jnp.zeros_like(wide)
-        wide = jnp.maximum(floor, noise)
-    return _Starts(best, other, near, _positive(wide, samples))
+    if not settings.loss.robust:
+        wide = noise if settings.noise_given else scale * jnp.sqrt(cost / freedom)
+        wide = _positive(jnp.broadcast_to(wide, size[1:]), samples)
+        return _Starts(best, best, jnp.zeros(size[1:], bool), wide)
+    left = residuals(best, samples, settings, which)
+    floor = noise if settings.noise_given else jnp.zeros_like(noise)
+    wide = jnp.maximum(median_scale(left, samples.share, unknowns), floor)
+    wide = _positive(wide, samples)
+
+    # An outlier in the highlight attracts least squares, so all exponents are tried.
+    def try_again(point: Point) -> tuple[Point, Array]:
+        end = descend(point, samples, wide, ROUGHLY, ROUGH, settings, which)
+        return end.point, end.cost
+
+    points, costs = jax.lax.map(try_again, points)
+    number = jnp.argmin(costs, axis=0)
+    rivals = _rivals(points, costs, number)
+    near = rivals.gaps[1] * freedom <= FAR_OFF * jnp.min(costs, axis=0)
+    return _Starts(_pick(points, number), _pick(points, rivals.starts[1]), near, wide)
 
 
 def _finish(
