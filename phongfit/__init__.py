@@ -1,11 +1,10 @@
 """Fit the Phong illumination model to images, with honest error bars."""
 
-import warnings
 from typing import Any
 
 import lazy_loader
 
-from .moved import MOVED
+from .moved import MOVED, warn_deprecated
 
 __version__ = "0.2.0"
 
@@ -20,11 +19,9 @@ _moved, _, _ = lazy_loader.attach(
 def __getattr__(name: str) -> Any:
     for module, names in MOVED.items():
         if name in names.split():
-            warnings.warn(
+            warn_deprecated(
                 f"phongfit.{name} is phongfit.{module}.{name} now, and goes from "
-                "phongfit in 0.4",
-                DeprecationWarning,
-                stacklevel=2,
+                "phongfit in 0.4"
             )
             return _moved(name)
     return _public(name)

@@ -1,5 +1,7 @@
 """Names that moved from `phongfit` into its modules in 0.3; the old ones go in 0.4."""
 
+import warnings
+
 MOVED = {
     "calibration.response": "Response",
     "files.captures": "Capture",
@@ -26,3 +28,8 @@ MOVED = {
     "textures": "AbstractTexture",
 }
 """Names by the module, relative to `phongfit`, in which they are public now."""
+
+
+def warn_deprecated(words: str) -> None:
+    """Warn the caller's caller that a name or an argument will be removed."""
+    warnings.warn(words, DeprecationWarning, stacklevel=3)

@@ -91,7 +91,8 @@ def test_every_code_is_given_by_someone():
 
 
 def test_no_warning_goes_without_a_code():
-    # Of lists of warnings the tests of who makes them say so.
-    others = [path for path in SOURCES if path.name != "codes.py"]
+    # Lists of warnings are checked by the tests of the results that hold them, and
+    # deprecations, which `moved.py` makes, have no code.
+    others = [path for path in SOURCES if path.name not in ("codes.py", "moved.py")]
     bare = [path for path in others if "warnings.warn(" in path.read_text("utf-8")]
     assert bare == []

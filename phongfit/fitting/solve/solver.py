@@ -6,7 +6,6 @@
 optimistix has no bounds for least squares, and ignores those in `options` silently.
 """
 
-import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -18,6 +17,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree, Scalar, ScalarLike
 
 from phongfit.fitting.solve.box import least_squares_in_box
+from phongfit.moved import warn_deprecated
 
 
 class _State(eqx.Module):
@@ -291,8 +291,7 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
         - `pace`: has no effect; it goes with version 0.3.
         """
         if pace is not None:
-            words = "pace: it has no effect, and will be removed in version 0.3"
-            warnings.warn(words, DeprecationWarning, stacklevel=2)
+            warn_deprecated("pace: it has no effect, and goes in version 0.4")
         self.rtol = rtol
         self.atol = atol
         self.norm = norm

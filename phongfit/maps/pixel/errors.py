@@ -30,6 +30,8 @@ VAGUE, VAGUE_TURNED = 0.25, 0.08
 LOST = 1.0
 # Distance of the profile's exponents from the estimate, in standard errors.
 FAR = 2.0
+# Number of exponents over the whole range that are tried where f is not identified.
+ANYWHERE = 6
 # Squared fraction of the lights' vectors across a plane below which they lie in it.
 FLAT = 3e-4
 # A pixel is ambiguous if the cost of another normal is higher by less than this, which
@@ -60,14 +62,14 @@ class Errors(NamedTuple):
 
 
 class Profile(NamedTuple):
-    """The best points at a lower and at a higher exponent.
+    """The best points at other exponents: a lower one, a higher one, and any others.
 
-    - `points`: with a new first axis; `rises`: (2, pixels), their increase of the cost.
+    - `points`: with a new first axis; `rises`: their increase of the cost.
     - `settled`: whether the fits have converged.
     """
 
     points: Point
-    rises: Float[Array, "2 pixels"]
+    rises: Float[Array, "exponents pixels"]
     settled: Bool[Array, " pixels"]
 
 
@@ -92,15 +94,16 @@ def standard_errors(
 
     If the error of the exponent is large, the model is not linear within it. Errors
     then reach at least as far as the profile, for which all other unknowns are fitted
-    at fixed exponents.
+    at fixed exponents. Where f is not identified and normals are known, errors of
+    reflectances reach to every exponent that the data allow.
 
     **Arguments:**
 
     - `point`, `sums`: the solution.
     - `sigma`: factor from the sums' unit of noise to the noise.
     - `rival`: by how much the cost of another normal is higher.
-    - `follow`: function from log exponents, (2, pixels), and flags of pixels to the
-        profile of these pixels.
+    - `follow`: function from log exponents, (exponents, pixels), and flags of pixels to
+        the profile of these pixels.
     """
     everything = _all(sums)
     spread = _spread(sums, everything)
@@ -135,15 +138,24 @@ def standard_errors(
         vague = ~dim & ~(log_error < limit)
         widths = widths._replace(exponent=reach)
         far = FAR * jnp.clip(jnp.where(vague, log_error, limit), 0, LOST)
-        both = jnp.clip(jnp.stack([t - far, t + far]), *edges.log_exponent)
+        tried = jnp.clip(jnp.stack([t - far, t + far]), *edges.log_exponent)
+        unclear, wanted = dim | ~(log_error <= LOST), vague
+        if not which.normal:
+            anywhere = jnp.linspace(*edges.log_exponent, ANYWHERE, dtype=t.dtype)
+            every = jnp.broadcast_to(anywhere[:, None], (ANYWHERE, *t.shape))
+            tried, wanted = jnp.concatenate([tried, every]), vague | unclear
 
         def widened() -> tuple[_Widths, Array]:
-            profile = follow(both, vague)
+            profile = follow(tried, wanted)
             wide = _widened(point, profile, widths, sigma, which, edges)
-            return _where(vague, wide, widths), profile.settled | ~vague
+            wide = _where(vague, wide, widths)
+            if not which.normal:
+                wider = _widened_anywhere(point, profile, wide, sigma, which)
+                wide = _where(unclear, wider, wide)
+            return wide, profile.settled | ~vague
 
         widths, settled = jax.lax.cond(
-            jnp.any(vague), widened, lambda: (widths, jnp.ones_like(vague))
+            jnp.any(wanted), widened, lambda: (widths, jnp.ones_like(vague))
         )
         normal, specular, reach = widths.normal, widths.specular, widths.exponent
         open_ended = widths.open_ended
@@ -206,7 +218,7 @@ def _widened(
 ) -> _Widths:
     """Widen errors to those of a profile: its distance over the root of its rise."""
     rises = jnp.maximum(profile.rises, 0) / sigma[None] ** 2
-    for side, rise in enumerate(rises):
+    for side, rise in enumerate(rises[:2]):
         there = Point(*(leaf[side] for leaf in profile.points))
         # A rise below a tenth of the expected one is clipped; f is then open-ended.
         share = 1 / jnp.sqrt(jnp.maximum(rise, FAR**2 / 10))
@@ -237,6 +249,26 @@ def _widened(
             widths.open_ended | (at_end & (rise < FAR**2)) | (rise < FAR**2 / 10),
         )
     return widths
+
+
+def _widened_anywhere(
+    point: Point, profile: Profile, widths: _Widths, sigma: Array, which: Unknowns
+) -> _Widths:
+    """Widen errors of reflectances to all exponents that the data allow."""
+    rises = jnp.maximum(profile.rises, 0) / sigma[None] ** 2
+    share = 1 / jnp.sqrt(jnp.maximum(rises, FAR**2 / 10))
+    share = jnp.where(rises < FAR**2, share, 0)[:, None]
+
+    def widest(name: str) -> Array:
+        off = jnp.abs(getattr(profile.points, name) - getattr(point, name)[None])
+        return jnp.max(off * share, axis=0)
+
+    own = zip(which.own, widths.own, strict=True)
+    own = tuple(jnp.maximum(error, widest(name)) for name, error in own)
+    specular = widths.specular
+    if which.one_specular:
+        specular = jnp.maximum(specular, widest("specular")[0])
+    return widths._replace(own=own, specular=specular)
 
 
 def _where(where: Array, yes: _Widths, no: _Widths) -> _Widths:

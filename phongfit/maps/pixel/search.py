@@ -415,15 +415,15 @@ def _finish(
 def follow_exponent(
     found: SearchResult,
     samples: Samples,
-    log_exponents: Float[Array, "2 pixels"],
+    log_exponents: Float[Array, "exponents pixels"],
     wanted: Bool[Array, " pixels"],
     settings: MapSettings,
     which: Unknowns,
     thorough: Array | bool = True,
 ) -> Profile:
-    """Fit all other unknowns at exponents beside the estimate.
+    """Fit all other unknowns at other exponents.
 
-    The fits start from the solution of the linearised model.
+    If normals are unknown, the fits start from the solution of the linearised model.
 
     **Arguments:** `wanted`: pixels to be fitted.
     """
@@ -436,10 +436,12 @@ def follow_exponent(
     most = jnp.where(thorough, *FOLLOWED)
 
     def at(t: Array) -> tuple[Point, Array, Array]:
-        off = t - found.point.log_exponent
-        own = tuple(off[None] * number for number in response.own)
-        shared = tuple(off * number for number in response.shared)
-        begin = moved(found.point, Move(own, shared, off), viewer, which, edges)
+        begin = found.point
+        if which.normal:
+            off = t - begin.log_exponent
+            own = tuple(off[None] * number for number in response.own)
+            shared = tuple(off * number for number in response.shared)
+            begin = moved(begin, Move(own, shared, off), viewer, which, edges)
         begin = begin._replace(log_exponent=t)
         end = descend(
             begin, samples, found.scale, most, VAGUELY, settings, fixed, skipped=~wanted
