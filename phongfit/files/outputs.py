@@ -7,6 +7,7 @@ folders are made, and removed again if the output fails.
 
 import contextlib
 import errno
+import itertools
 import json
 import os
 import shutil
@@ -178,10 +179,19 @@ def _check_replaceable(path: Path, may_replace: Callable[[str], bool] | None) ->
 def _check_untaken(
     path: Path, new: Path, may_replace: Callable[[str], bool] | None
 ) -> None:
-    """Raise if other programs put files of these names into `path` during the block."""
+    """Raise if other programs put files of these names into `path` during the block.
+
+    The new files are then kept in a folder inside `path`.
+    """
     for name in _names(new):
         if (path / name).exists() and not (may_replace and may_replace(name)):
-            raise OSError(f"{path}: {name} appeared there meanwhile, and stays")
+            others = (path / f"{path.name}-{k}" for k in itertools.count(2))
+            kept = next(folder for folder in others if not folder.exists())
+            os.replace(new, kept)
+            raise OSError(
+                f"{path}: {name} appeared there meanwhile, and stays; the results are "
+                f"in {kept}"
+            )
 
 
 def _names(path: Path) -> list[str]:

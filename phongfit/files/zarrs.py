@@ -1,7 +1,4 @@
-"""Arrays that may exceed memory: zarr, version 3, on a disk or an object store.
-
-Object stores need fsspec, which `phongfit[cluster]` installs.
-"""
+"""Arrays that may exceed memory: zarr, version 3, on a disk or an object store."""
 
 import contextlib
 import hashlib
@@ -55,16 +52,6 @@ def address(path: str | os.PathLike[str]) -> str:
     return re.sub(r"^([a-z0-9]{2,}):/(?=[^/])", r"\1://", os.fspath(path))
 
 
-def _reachable(path: str | os.PathLike[str]) -> str:
-    """The address of a store.
-
-    **Raises:** `ValueError` if the library for object stores is not installed.
-    """
-    if is_remote(path):
-        require("fsspec")
-    return address(path)
-
-
 def is_remote(path: str | os.PathLike[str]) -> bool:
     """True if an address is a URL, of an object store."""
     return "://" in address(path)
@@ -90,12 +77,12 @@ def _blaming(path: str, doing: str) -> Iterator[None]:
 def open_array(path: str | os.PathLike[str], name: str = "") -> "Array":
     """Open an array to read.
 
-    **Raises:** `ValueError` that names the store: it is missing, broken, has chunks
-    above the limit of memory, or zarr is not installed.
+    **Raises:** `ValueError` that names the store: it is missing, is broken, or has
+    chunks above the limit of memory.
     """
     import zarr
 
-    path = _reachable(path)
+    path = address(path)
     inside: Any = {"path": name} if name else {}
     with _blaming(path, "read"):
         array: Any = zarr.open_array(path, mode="r", zarr_format=3, **inside)
@@ -110,7 +97,7 @@ def open_group(path: str | os.PathLike[str], mode: Any = "r") -> "Group":
     """
     import zarr
 
-    path = _reachable(path)
+    path = address(path)
     with _blaming(path, "read" if mode == "r" else "written"):
         return zarr.open_group(path, mode=mode, zarr_format=3)
 
@@ -122,7 +109,7 @@ def find_images(path: str | os.PathLike[str]) -> "Array":
     """
     import zarr
 
-    path = _reachable(path)
+    path = address(path)
     with _blaming(path, "read"):
         node = zarr.open(path, mode="r", zarr_format=3)
     array = open_array(path, "" if isinstance(node, zarr.Array) else IMAGES)
@@ -171,7 +158,6 @@ def fingerprint(array: "Array") -> str:
 
     Chunks are not read, since they may be petabytes.
     """
-    require("fsspec")
     import fsspec
 
     path = place_of(array)
@@ -302,7 +288,6 @@ def erase(path: str | os.PathLike[str]) -> None:
 
     **Raises:** `OSError` that names the store.
     """
-    require("fsspec")
     import fsspec
 
     path = address(path)

@@ -38,7 +38,7 @@ from phongfit.fitting.uncertainty.warnings import (
     spread_words,
 )
 from phongfit.programs import program
-from phongfit.rendering.pixels import PixelTerms, resolve_terms
+from phongfit.rendering.pixels import PixelTerms, pixel_terms, resolve_terms
 from phongfit.scene import Scene
 
 # Fraction by which χ² must exceed its expectation for the given noise to warn.
@@ -164,7 +164,10 @@ def _fitted_image(
     """Fitted image and residuals of one image, and sums over its tiles."""
     source, problem = minimum.sources[which], minimum.found.problem
     mask, view = source.mask, source.pixels
-    if problem.unknowns.of_scene:
+    if source.gbuffer is not None:
+        # As the solver has it: shadows of lights that are only uncertain stay.
+        view = pixel_terms(scene, source.gbuffer)
+    elif problem.unknowns.of_scene:
         mask, view = resolve_terms(scene)
     step = None if source.step is None else jnp.asarray(source.step)
     return _expose(

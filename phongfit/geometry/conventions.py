@@ -57,7 +57,7 @@ def camera_pose(to_world: Any, axes: Axes) -> Pose:
     """Position and rotation of a camera from its matrix in another convention.
 
     ```python
-    position, rotation = phongfit.camera_pose(matrix_world, "blender")
+    position, rotation = phongfit.geometry.camera_pose(matrix_world, "blender")
     ```
 
     **Arguments:**

@@ -37,6 +37,7 @@ from phongfit.maps.job import (
     settle,
 )
 from phongfit.maps.layers import Layers, Noise, mask_layers
+from phongfit.maps.pixel.settings import MAP_PARAMETERS
 from phongfit.maps.result import Layer, layers_of, view_of
 from phongfit.maps.run import as_mesh, fit_job, tile_size, versions
 from phongfit.maps.stacks import (
@@ -248,6 +249,7 @@ def make_place(
         "version": STORE_VERSION,
         "job": identify(settings, outside, place, masks, levels)
         | {
+            "unknowns": ", ".join(options.get("unknowns", MAP_PARAMETERS)),
             "images": identify_stack(stack),
             "block": f"{block[0]} × {block[1]} pixels",
             "versions": versions(),

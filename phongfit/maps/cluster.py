@@ -92,7 +92,6 @@ def fit_stored_maps(
     broken; `OSError` if the output cannot be written, another run writes there, or the
     cluster is gone. Finished blocks are kept.
     """
-    require("cloudpickle")
     untraced("fit_stored_maps is no function that JAX can trace", scenes=scenes)
     stack = images if isinstance(images, AbstractStack) else ZarrStack(images)
     stored = stack if isinstance(stack, ZarrStack) else None

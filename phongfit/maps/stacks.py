@@ -341,8 +341,7 @@ class ZarrStack(AbstractCodedStack):
             `images`.
         - `encoding`: default the attribute `encoding` of the array, else `"linear"`.
 
-        **Raises:** `ValueError` that names the store and its fault, or for an object
-        store without fsspec: `pip install 'phongfit[cluster]'`.
+        **Raises:** `ValueError` that names the store and its fault.
         """
         self.array = find_images(path)
         told = attributes(self.array).get("encoding", "linear")

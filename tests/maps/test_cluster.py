@@ -251,12 +251,13 @@ def test_what_is_wrong_is_named(images, tmp_path, monkeypatch):
             raise AssertionError
     real = importlib.util.find_spec
     monkeypatch.setattr(
-        importlib.util, "find_spec", lambda n: None if n == "fsspec" else real(n)
+        importlib.util, "find_spec", lambda n: None if n == "distributed" else real(n)
     )
     with pytest.raises(
-        ValueError, match=r"fsspec not installed: pip .*phongfit\[cluster"
+        ValueError, match=r"distributed not .*: pip .*phongfit\[cluster"
     ):
-        pf.ZarrStack("s3://coins/stack.zarr")
+        with dask_client("local:1"):
+            raise AssertionError
 
 
 @pytest.fixture(scope="module")

@@ -148,6 +148,20 @@ def test_some_leaves_may_be_known():
     assert not found.stderr.specular.any() and (found.shininess == 15).all()
 
 
+def test_dark_surfaces_under_bright_lamps_without_noise():
+    """Residuals are far below the rounding of the images' squares."""
+    stack = make_stack(lights=4, ambient=0.0, color=(20.0, 18.0, 16.0))
+    dark = pf.Material(stack.truth.diffuse / 20, 0.015, 15.0, 0.0)
+    images = [np.asarray(pf.render(s, dark, film=FREE)) for s in stack.scenes]
+    flat = pf.Material(0.0, 0.015, 15.0, 0.4)
+    found = pf.fit_maps(
+        stack.scenes, images, unknowns=("diffuse",), known=flat, film=FREE
+    )
+    lit = found.identified
+    assert lit.mean() > 0.9
+    np.testing.assert_allclose(found.diffuse[lit], dark.diffuse[lit], rtol=1e-4)
+
+
 TUKEY: dict[str, Any] = {"loss": "tukey", "noise": 0.01}
 
 

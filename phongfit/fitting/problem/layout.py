@@ -54,12 +54,12 @@ def make_unknowns(
     first = first_values(parameters, scenes)
     factor, offset, is_fixed, source = _held(names, fixed, ties)
     own = (np.arange(size) == source) & ~is_fixed
-    if not own.any():
+    nuisance = np.array([one.nuisance for one in names.parameter])
+    if not (own & ~nuisance).any():
         raise ValueError("fixed: nothing unknown is left")
 
     low, high = _boxes(names, bounds, is_fixed)
     low, high = _narrowed(names, low, high, factor, source)
-    nuisance = np.array([one.nuisance for one in names.parameter])
     low, high = np.where(nuisance, -np.inf, low), np.where(nuisance, np.inf, high)
     _check_fixed(names, offset, is_fixed, ties)
     forms = np.repeat([f.form for f in parameters], [f.size for f in parameters])
@@ -149,13 +149,19 @@ class _Names:
                 self._of.setdefault(name, []).append(entry)
 
     def entries(self, argument: str, name: str) -> np.ndarray:
-        """Indices of the entries with this name; `ValueError` for other names."""
-        if name not in self._of:
-            there = ", ".join(
-                dict.fromkeys((*[f.name for f in self.parameter], *self.labels))
-            )
+        """Indices of the entries with this name; `ValueError` for other names.
+
+        Nuisances have a name only in `uncertain`.
+        """
+        found = self._of.get(name)
+        if found is None or (
+            argument != "uncertain" and self.parameter[found[0]].nuisance
+        ):
+            sought = [one for one in self.parameter if not one.nuisance]
+            labels = self.labels[: len(sought)]
+            there = ", ".join(dict.fromkeys([*[f.name for f in sought], *labels]))
             raise ValueError(f"{argument}: expected one of {there}, got {name!r}")
-        return np.array(self._of[name])
+        return np.array(found)
 
     def numbers(self, argument: str, name: str, given: Any) -> np.ndarray:
         """Numbers for all entries of a name; one number stands for all of them."""

@@ -288,7 +288,7 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
         - `foresee`: whether to end with a step after which, by the rate at which steps
             shrink, all further steps would be below tolerance. Its end is not
             evaluated, which saves an evaluation.
-        - `pace`: has no effect; it goes with version 0.3.
+        - `pace`: has no effect; it goes with version 0.4.
         """
         if pace is not None:
             warn_deprecated("pace: it has no effect, and goes in version 0.4")

@@ -326,14 +326,17 @@ def _try_exponents(
     exponents = _exponents(known, settings, tuple(grid))
     points, costs = jax.lax.map(try_exponent, jnp.stack(exponents))
     number = jnp.argmin(costs, axis=0)
-    best, cost = _pick(points, number), jnp.min(costs, axis=0)
+    best = _pick(points, number)
     unknowns = settings.unknowns(size[0])
     freedom = jnp.maximum(count_used(samples.share) - unknowns, 1)
-    if not settings.loss.robust:
-        wide = noise if settings.noise_given else scale * jnp.sqrt(cost / freedom)
-        wide = _positive(jnp.broadcast_to(wide, size[1:]), samples)
-        return _Starts(best, best, jnp.zeros(size[1:], bool), wide)
+    # Costs are differences of large sums of squares, too inexact for a small scale.
     left = residuals(best, samples, settings, which)
+    if not settings.loss.robust:
+        wide = jnp.broadcast_to(noise, size[1:])
+        if not settings.noise_given:
+            wide = jnp.sqrt(jnp.sum(left**2, axis=(0, 1)) / freedom)
+        wide = _positive(wide, samples)
+        return _Starts(best, best, jnp.zeros(size[1:], bool), wide)
     floor = noise if settings.noise_given else jnp.zeros_like(noise)
     wide = jnp.maximum(median_scale(left, samples.share, unknowns), floor)
     wide = _positive(wide, samples)
