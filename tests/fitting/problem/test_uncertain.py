@@ -194,3 +194,40 @@ def test_errors_that_are_predicted_know_it_too():
 def test_what_is_wrong_is_said(uncertain, message):
     with pytest.raises(ValueError, match=message):
         fitted(uncertain=uncertain)
+
+
+@pytest.mark.parametrize(
+    "options, message",
+    [
+        ({"bounds": {INTENSITY: (0.9, 0.95)}}, "bounds: expected one of diffuse"),
+        ({"fixed": {INTENSITY: 1.0}}, "fixed: expected one of diffuse"),
+        ({"ties": {"shininess": INTENSITY}}, "ties: expected one of diffuse"),
+        ({"fixed": dict.fromkeys(UNKNOWNS, 0.5)}, "fixed: nothing unknown is left"),
+    ],
+)
+def test_uncertain_arrays_are_no_unknowns_of_other_options(options, message):
+    with pytest.raises(ValueError, match=message):
+        fitted(uncertain={INTENSITY: 0.01}, **options)
+
+
+def test_residuals_have_the_shadows_of_the_solution():
+    """Shadows stay where the scene's lamp casts them, though the lamp is refined."""
+    camera = pf.OrthographicCamera(32, 32)
+    surface = pf.shapes.Torus().mesh(32, 16)
+
+    def scene(x: float) -> pf.Scene:
+        lamp = pf.DirectionalLight((x, 0.4, 0.5))
+        return pf.Scene(surface, camera, lamp, shadows=True)
+
+    image = np.asarray(pf.render(scene(1.05), pf.Material(0.5, 0.0, 10.0)))
+    found = pf.fit(
+        scene(1.0),
+        image,
+        unknowns=["diffuse"],
+        uncertain={DIRECTION: 0.05},
+        noise=0.01,
+        film=pf.Film(clamp=False),
+    )
+    of_samples = np.sum((np.asarray(found.residuals) / 0.01) ** 2)
+    # The rest is the lamp's prior.
+    assert 0 < found.chi_squared - of_samples < 5
