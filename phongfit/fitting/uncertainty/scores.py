@@ -54,7 +54,7 @@ def _by_pixel(problem: Problem, y: Float[Array, " n"]) -> tuple[Array, Array, Ar
         "gcki,gcdkl,gdlj->ij", select, products, select, precision=EXACT
     )
     # A fit makes its residuals smaller than the noise.
-    free = np.count_nonzero(~problem.unknowns.y_nuisance)
+    free = int(np.count_nonzero(~problem.unknowns.y_nuisance))
     freedom = jnp.maximum(count - free, 1)
     return covariance * count / freedom, jnp.sum(score**2) / count, jacobian.gram()
 
