@@ -46,10 +46,10 @@ def test_what_lies_behind_the_fog():
     known = pf.Material(0.0, truth.specular, truth.shininess, truth.ambient)
     maps = pf.fit_maps(scenes, foggy, known=known, noise=0.01, **QUICK)
     assert maps.identified.sum() > 80
+    # The search ends at a small fraction of the errors.
     true = np.asarray(truth.diffuse)
-    np.testing.assert_allclose(
-        maps.diffuse[maps.identified], true[maps.identified], atol=2e-5
-    )
+    off = np.abs(maps.diffuse - true)[maps.identified]
+    assert np.all(off < 0.05 * maps.stderr.diffuse[maps.identified])
     # The thicker the fog, the less is identified.
     bare = [pf.Scene(s.surface, s.camera, s.lights, s.ambient) for s in scenes]
     images = [np.asarray(pf.render(s, truth, film=QUICK["film"])) for s in bare]

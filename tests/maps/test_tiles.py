@@ -334,8 +334,7 @@ import sys
 from pathlib import Path
 
 import phongfit as pf
-from phongfit.maps.job import make_job
-from phongfit.maps.stacks import ArrayStack
+from phongfit.maps.stacks import AbstractStack, ArrayStack
 from tests.maps.test_tiles import finished, fitted, stack
 
 out, file, last = sys.argv[1:]

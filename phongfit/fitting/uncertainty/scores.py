@@ -8,7 +8,9 @@ may differ between channels or with light. Samples of one level round alike.
 ??? cite "Source"
     White, *A heteroskedasticity-consistent covariance matrix estimator*, Econometrica
     48(4), 1980; Liang and Zeger, *Longitudinal data analysis using generalized linear
-    models*, Biometrika 73(1), 1986: clusters of residuals.
+    models*, Biometrika 73(1), 1986: clusters of residuals. MacKinnon and White, *Some
+    heteroskedasticity-consistent covariance matrix estimators with improved finite
+    sample properties*, J. Econometrics 29(3), 1985: HC3.
 """
 
 import dataclasses
@@ -21,6 +23,9 @@ from phongfit.fitting.problem.noise import shared_rounding_variance
 from phongfit.fitting.problem.problem import Evaluation, Problem
 from phongfit.fitting.solve.sums import EXACT, linearize, linearized
 from phongfit.programs import program
+
+# Least difference of 1 and a sample's leverage.
+LEAST = 0.1
 
 
 def with_noise_as_found(problem: Problem, y: Float[Array, " n"]) -> Problem:
@@ -36,11 +41,27 @@ def with_noise_as_found(problem: Problem, y: Float[Array, " n"]) -> Problem:
 
 @program()
 def _by_pixel(problem: Problem, y: Float[Array, " n"]) -> tuple[Array, Array, Array]:
-    r"""Sum of squared scores of pixels, mean square of a score, and $J^\top J$."""
+    r"""Sum of squared scores of pixels, mean square of a score, and $J^\top J$.
+
+    A fit shrinks the residual of a sample that determines much of the answer, by its
+    leverage $h$; the score is therefore divided by $1 - h$ (HC3).
+    """
     found = linearize(problem, y)
     jacobian, used = found.jacobian, problem.samples.weight > 0
     score = jnp.where(used, problem.loss.score(found.at.residual)[0], 0)
-    share, count = jacobian.local * score[:, None], jnp.sum(used).astype(y.dtype)
+    select, gram = jacobian.select, jacobian.gram()
+    inverse = jnp.linalg.pinv(gram, hermitian=True)
+    apart = jnp.einsum("gcki,ij,gclj->gckl", select, inverse, select, precision=EXACT)
+    leverage = jnp.einsum(
+        "ckn,gckl,cln,gn->cn",
+        jacobian.local,
+        apart,
+        jacobian.local,
+        jacobian.members(),
+        precision=EXACT,
+    )
+    weighed = score / jnp.maximum(1 - leverage, LEAST)
+    share, count = jacobian.local * weighed[:, None], jnp.sum(used).astype(y.dtype)
     products = jnp.einsum(
         "ckn,dln,gn->gcdkl",
         share,
@@ -49,14 +70,13 @@ def _by_pixel(problem: Problem, y: Float[Array, " n"]) -> tuple[Array, Array, Ar
         precision=EXACT,
         optimize="optimal",
     )
-    select = jacobian.select
     covariance = jnp.einsum(
         "gcki,gcdkl,gdlj->ij", select, products, select, precision=EXACT
     )
     # A fit makes its residuals smaller than the noise.
     free = int(np.count_nonzero(~problem.unknowns.y_nuisance))
     freedom = jnp.maximum(count - free, 1)
-    return covariance * count / freedom, jnp.sum(score**2) / count, jacobian.gram()
+    return covariance * count / freedom, jnp.sum(score**2) / count, gram
 
 
 def independent_variance(problem: Problem, at: Evaluation) -> Float[Array, "3 samples"]:
