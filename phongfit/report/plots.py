@@ -180,7 +180,8 @@ def draw_blocks(axes: Axes, fit: Fit, image: int) -> None:
     most = max(WIDEST, *(float(np.abs(one).max()) for one in misfit.maps))
     shown = axes.imshow(found, cmap=SIGNED, vmin=-most, vmax=most)
     axes.set_title(f"sums of {misfit.side} × {misfit.side} pixels")
-    scale(axes, shown, "σ of independent noise")
+    # A wider gap leaves no room for the pictures of six photographs.
+    scale(axes, shown, "σ of independent noise", pad=0.02)
 
 
 def plot_residuals(fit: Fit) -> Figure:

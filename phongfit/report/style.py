@@ -82,11 +82,17 @@ def png(figure: Figure, dpi: float) -> bytes:
     return stream.getvalue()
 
 
-def scale(axes: Axes, shown: ScalarMappable, label: str = "", **place: Any) -> Colorbar:
+def scale(
+    axes: Axes,
+    shown: ScalarMappable,
+    label: str = "",
+    pad: float = 0.03,
+    **place: Any,
+) -> Colorbar:
     """The scale of colours beside a picture."""
     figure = axes.get_figure(root=True)
     assert figure is not None
-    bar = figure.colorbar(shown, ax=axes, fraction=0.046, pad=0.03, **place)
+    bar = figure.colorbar(shown, ax=axes, fraction=0.046, pad=pad, **place)
     bar.set_label(label)
     bar.ax.grid(False)
     return bar

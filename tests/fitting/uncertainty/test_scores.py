@@ -46,7 +46,8 @@ def check_errors(fit, color, expected):
     """Of one channel's reflectances, as well as a line through squares is known."""
     labels = [f"{name}.{color}" for name in LINEAR]
     errors = [fit.errors[fit.labels.index(label)] for label in labels]
-    np.testing.assert_allclose(errors, expected, rtol=0.2)
+    # The correction for leverage makes errors of few pixels slightly too large.
+    np.testing.assert_allclose(errors, expected, rtol=0.25)
 
 
 @pytest.mark.parametrize("level", [shot_noise, red_noise])
