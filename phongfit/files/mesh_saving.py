@@ -364,7 +364,7 @@ def _write_triangles(
 
 
 def _coloured(mesh: Mesh, own: list[_Own], factors: Iterable[Any]) -> Part:
-    """All faces, with vertices of their own for each material: a vertex has one colour.
+    """All faces, with separate vertices for each material: a vertex has one colour.
 
     **Arguments:** `factors`: of the colours of each material's vertices.
     """

@@ -240,7 +240,7 @@ def _check_names(
                     f"{argument}: expected one of {', '.join(MAP_PARAMETERS)}, "
                     f"got {name!r}"
                 )
-    # With fitted normals the channels may share ρ_s; then ρ_a may be absent, too.
+    # With fitted normals the channels may share ρ_s, and ρ_a may be absent.
     excused = {"specular"} if sought else set()
     if sought and not _has_ambient(scenes):
         excused.add("ambient")

@@ -76,7 +76,7 @@ class Channels(eqx.Module):
         )
 
     def shaped_by(self, model: AbstractSpecular) -> "Channels":
-        """These channels with another specular model of the same kind."""
+        """The channels with another specular model of the same kind."""
         return Channels(with_model(self.pixels, model))
 
     @property

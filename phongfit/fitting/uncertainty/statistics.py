@@ -141,7 +141,8 @@ def sandwich_at(
     meat = found.meat
     if found.shared > 1e-6:
         meat = meat + found.loss_variance * shared_rounding(problem, y)
-    # A lack of fit does not change what a calibration knows of uncertain arrays.
+    # Priors of uncertain arrays come from a calibration: a lack of fit here does not
+    # widen them.
     factor = np.where(problem.unknowns.y_nuisance, 1, inflation)
     meat = inflation * meat + factor * found.known
     inside = found.inside + found.known

@@ -94,8 +94,8 @@ def standard_errors(
 
     If the error of the exponent is large, the model is not linear within it. Errors
     then reach at least as far as the profile, for which all other unknowns are fitted
-    at fixed exponents. Where f is not identified and normals are known, errors of
-    reflectances reach to every exponent that the data allow.
+    at fixed exponents. If f is not identified and normals are known, errors of
+    reflectances cover all exponents that the data allow.
 
     **Arguments:**
 

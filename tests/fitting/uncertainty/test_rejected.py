@@ -36,7 +36,7 @@ def test_garbage_is_no_highlight(loss):
     fit = pf.fit(SCENE, canonical.with_garbage(image), loss=loss)
     assert not any(REJECTED in words for words in fit.warnings)
     exponent = fit["shininess"]
-    # Huber's loss bears a fifth of garbage less well, and its error is larger.
+    # With a fifth of garbage the estimate and the error of Huber's loss are larger.
     most, widest = (4, 25) if loss == "tukey" else (6, 50)
     assert abs(exponent.value - 200) < most * exponent.error < most * widest
 
