@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+import phongfit as pf
 from experiments.output import save_picture
 from phongfit import cli
 from phongfit.report.pictures import Row, comparison
@@ -39,7 +40,8 @@ def run_page(folder: Path) -> dict[str, Any]:
             if language == "python":
                 exec(compile(code, PAGE.name, "exec"), names)
                 continue
-            for program, *words in map(shlex.split, code.splitlines()):
+            commands = code.replace("\\\n", " ").splitlines()
+            for program, *words in map(shlex.split, commands):
                 if program == "cp":
                     shutil.copytree(ROOT / words[1], words[2])
                 elif cli.main(words) != 0:
@@ -80,7 +82,8 @@ def main(pictures: Path = Path("out/capture")) -> int:
         names = run_page(folder)
         photographs(folder / "psbox").save(pictures / "psbox.jpg", quality=88)
         shutil.copy(folder / "out/lights/calibration.png", pictures / "psbox_lamps.png")
-    fit, images, mask = names["fit"], names["images"], names["mask"]
+        fit = pf.load_fit(folder / "out/cat")
+    maps, images, mask = names["maps"], names["images"], names["mask"]
     at = [number - 1 for number in COMPARED]
     rows = []
     for number in at:
@@ -90,9 +93,7 @@ def main(pictures: Path = Path("out/capture")) -> int:
         rows.append(Row(images[number], shown, residual, title))
     figure = comparison(rows, ("photograph", "fit"), brighten=1.5, blocks=len(rows))
     save_picture(pictures / "photograph_and_fit.jpg", figure)
-    strengths = np.array(fit.exposure)
-    relative = " ".join(f"{ratio:.3f}" for ratio in strengths / strengths.mean())
-    print(f"lamps' strengths: {relative}")
+    print(f"lamps' strengths: {maps.strengths.values.round(3)}")
     return 0
 
 

@@ -112,10 +112,12 @@ def _floats(array: Float[Array, " n"]) -> list[float]:
 def light_from_opengl(parameters: Mapping[str, Any]) -> AbstractLight:
     """A light from OpenGL's parameters; missing ones have the defaults of GL_LIGHT0.
 
-    The inverse of [`light_to_opengl`][].
+    The inverse of [`light_to_opengl`][]. `GL_POSITION` and `GL_SPOT_DIRECTION` are in
+    the world's axes, as if set while the modelview matrix is the camera's alone. Alpha
+    is dropped.
 
-    **Raises:** `ValueError` for a name that lights do not have, or for a spot of
-    parallel light.
+    **Raises:** `ValueError` for a name that lights do not have, or for a spot whose
+    position is at infinity (w = 0).
     """
     defaults = {
         "GL_AMBIENT": (0.0, 0.0, 0.0),
@@ -132,21 +134,25 @@ def light_from_opengl(parameters: Mapping[str, Any]) -> AbstractLight:
     check_names("light", parameters, set(defaults))
     values = defaults | dict(parameters)
     intensity = values["GL_DIFFUSE"][:3]
-    own = {"specular": values["GL_SPECULAR"][:3], "ambient": values["GL_AMBIENT"][:3]}
-    place = np.asarray(values["GL_POSITION"], float)
-    if place.shape != (4,):
-        raise ValueError(f"GL_POSITION: expected shape (4,), got {place.shape}")
+    own = {
+        "specular": values["GL_SPECULAR"][:3],
+        "ambient": values["GL_AMBIENT"][:3],
+    }
+    homogeneous = np.asarray(values["GL_POSITION"], float)
+    if homogeneous.shape != (4,):
+        raise ValueError(f"GL_POSITION: expected shape (4,), got {homogeneous.shape}")
     spot = values["GL_SPOT_CUTOFF"] != 180
-    if place[3] == 0:
+    if homogeneous[3] == 0:
         if spot:
             raise ValueError(
-                "GL_SPOT_CUTOFF: a light with w = 0 has no place, and here no cone"
+                "GL_SPOT_CUTOFF: expected 180, since a directional light (w = 0) "
+                "cannot be a spot"
             )
-        return DirectionalLight(place[:3], intensity, **own)
+        return DirectionalLight(homogeneous[:3], intensity, **own)
     falloff = [
         values[f"GL_{name}_ATTENUATION"] for name in ("CONSTANT", "LINEAR", "QUADRATIC")
     ]
-    position = place[:3] / place[3]
+    position = homogeneous[:3] / homogeneous[3]
     if not spot:
         return PointLight(position, intensity, attenuation=falloff, **own)
     return SpotLight(
@@ -161,7 +167,11 @@ def light_from_opengl(parameters: Mapping[str, Any]) -> AbstractLight:
 
 
 def fog_to_opengl(fog: Fog | None, *, nearest: bool = False) -> Parameters | None:
-    """Fog as the arguments of `glFog`; `None` if there is no fog.
+    """Fog as names and values of `glFogfv`, such as `GL_FOG_MODE`; `None` for no fog.
+
+    Density is per world unit; start and end are in world units.
+
+    **Arguments:** `nearest`: cut a colour above 1 off at 1, with a warning.
 
     **Raises:** `ValueError` for a colour above 1, unless `nearest`.
     """

@@ -126,9 +126,15 @@ def measure(size: Size) -> Result:
 
 
 def highlight(rows: int, size: Size) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Peak and energy of highlights over Phong shading's: (exponents, lamps)."""
+    """Peak and sum of a highlight's pixels, relative to Phong shading of the mesh.
+
+    **Arguments:** `rows`: rows of the ball's faces.
+
+    **Returns:** for each method, two arrays of shape (exponents, lamps).
+    """
     camera = pf.OrthographicCamera(size.pixels, size.pixels, view_height=2.1)
     directions = spread_directions(size.lamps)
+    # What a pixel sees depends on neither lamp nor shading, so it is traced once.
     gbuffer = ball(rows, "Phong", camera, directions[0]).trace()
     measured = {}
     for name in METHODS:

@@ -276,7 +276,13 @@ def _run(*words: Any) -> None:
 
 
 def write_colmap(folder: Path, names: list[str], cameras: list[Any]) -> None:
-    """Write cameras as COLMAP's text files, where they look along +z with y down."""
+    """Write `cameras.txt` and `images.txt` as COLMAP does.
+
+    **Arguments:**
+
+    - `names`: files of the photographs, one for each camera.
+    - `cameras`: perspective cameras of one size and one angle of view.
+    """
     folder.mkdir(parents=True)
     first = cameras[0]
     width, height = first.width, first.height
@@ -285,10 +291,13 @@ def write_colmap(folder: Path, names: list[str], cameras: list[Any]) -> None:
     (folder / "cameras.txt").write_text(f"1 SIMPLE_PINHOLE {lens}\n")
     lines = []
     for number, (name, camera) in enumerate(zip(names, cameras, strict=True), 1):
-        rotation = (np.asarray(camera.rotation, float) * [1, -1, -1]).T
-        x, y, z, w = Rotation.from_matrix(rotation).as_quat()
-        shift = -rotation @ np.asarray(camera.position, float)
-        pose = " ".join(f"{part:.9g}" for part in (w, x, y, z, *shift))
+        # COLMAP's cameras have y down and look along +z, ours have y up and look
+        # along -z. The columns of `rotation` are the camera's axes in the world.
+        world_to_camera = (np.asarray(camera.rotation, float) * [1, -1, -1]).T
+        x, y, z, w = Rotation.from_matrix(world_to_camera).as_quat()
+        translation = -world_to_camera @ np.asarray(camera.position, float)
+        pose = " ".join(f"{part:.9g}" for part in (w, x, y, z, *translation))
+        # The empty line is the list of the image's points, of which there are none.
         lines += [f"{number} {pose} 1 {name}", ""]
     (folder / "images.txt").write_text("\n".join(lines) + "\n")
 

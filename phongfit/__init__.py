@@ -20,8 +20,8 @@ def __getattr__(name: str) -> Any:
     for module, names in MOVED.items():
         if name in names.split():
             warn_deprecated(
-                f"phongfit.{name} is phongfit.{module}.{name} now, and goes from "
-                "phongfit in 0.4"
+                f"phongfit.{name} goes in 0.4; write from phongfit.{module} import "
+                f"{name}"
             )
             return _moved(name)
     return _public(name)

@@ -157,7 +157,8 @@ def preset(name: str) -> Material:
     **Arguments:** `name`: one of `phongfit.material.PRESETS`, such as `"brass"`; spaces
     and hyphens count as underscores.
 
-    **Raises:** `ValueError` for any other name; the message has the most similar one.
+    **Raises:** `ValueError` for any other name; it suggests the most similar one, or
+    lists all.
     """
     key = str(name).strip().lower().replace(" ", "_").replace("-", "_")
     if key not in OPENGL_MATERIALS:

@@ -92,11 +92,12 @@ class GGX(AbstractSpecular):
     def __init__(self, roughness: Any = None, f0: Any = 0.04):
         r"""**Arguments:**
 
-        - `roughness`: in (0, 1], of the whole scene, $\sqrt\alpha$. By default each
-            material's exponent determines it.
+        - `roughness`: glTF's, from 0.0001 to 1: $\alpha$ is its square. It holds for
+            all materials of the scene. By default each material has its own, from its
+            exponent: $\alpha^2 = 2 / (f + 2)$.
         - `f0`: reflectance at normal incidence, in [0, 1]: $(n - 1)^2 / (n + 1)^2$
-            of refractive index n. 0.04 is glass and most plastics, 0.5 … 1 are metals,
-            whose colour is that of $\rho_s$.
+            of refractive index n. 0.04 is glass and most plastics, 0.5 … 1 are metals.
+            It is one number: a coloured metal has its colour in `Material.specular`.
 
         **Raises:** `ValueError` that names the argument.
         """

@@ -59,7 +59,11 @@ def _untraced() -> Any:
 
 @functools.cache
 def compiler_options() -> dict[str, Any] | None:
-    """XLA options that `XLA_FLAGS` does not set already; `None` for none."""
+    """`QUICK_COMPILATION` as `jax.jit` takes it, without what `XLA_FLAGS` sets.
+
+    `None` if nothing is left, on other devices than CPUs, and where this version of XLA
+    does not have the options.
+    """
     flags = os.environ.get("XLA_FLAGS", "")
     options = {
         name: value for name, value in QUICK_COMPILATION.items() if name not in flags
@@ -67,8 +71,8 @@ def compiler_options() -> dict[str, Any] | None:
     if not options or jax.default_backend() != "cpu":
         return None
     try:
+        # Tried on an empty program: a later XLA may not know these names.
         jax.jit(lambda: 0, compiler_options=options).lower().compile()
     except jax.errors.JaxRuntimeError:
-        # A later XLA may not have these options.
         return None
     return options

@@ -34,7 +34,8 @@ def blocks(page: Path) -> list[tuple[str, str]]:
 
 def lines(code: str) -> list[list[str]]:
     """The words of each line of a shell."""
-    found = [shlex.split(line, comments=True) for line in code.splitlines()]
+    joined = code.replace("\\\n", " ").splitlines()
+    found = [shlex.split(line, comments=True) for line in joined]
     return [words for words in found if words]
 
 

@@ -25,7 +25,7 @@ import phongfit as pf
 
 RATE = 0.03
 # Start of Adam: reflectances in mid-range, f = 8.
-START = (0.5, 8.0)
+START_REFLECTANCE, START_EXPONENT = 0.5, 8.0
 # Steps between two comparisons with the truth.
 STEPS_PER_CHECK = 10
 VARIANT, LIBRARY = "llvm_ad_rgb", "DRJIT_LIBLLVM_PATH"
@@ -85,7 +85,7 @@ class Mitsuba:
         self.mi.register_bsdf("blinn", _blinn(self.mi, self.dr))
         mesh = scenes[0].surface
         assert isinstance(mesh, pf.Mesh)
-        none = np.full((rows, rows, 3), START[0], np.float32)
+        none = np.full((rows, rows, 3), START_REFLECTANCE, np.float32)
         texture = self.mi.load_dict(
             {
                 "type": "bitmap",
@@ -103,7 +103,7 @@ class Mitsuba:
         (self.texels,) = (key for key in keys if key.endswith("diffuse.data"))
         self.shared = {
             name: [key for key in keys if key.endswith(name)]
-            for name in ("specular", "logarithm")
+            for name in ("specular", "log_shininess")
         }
 
     def _part(self, mesh: pf.Mesh, which: int, texture: Any) -> Any:
@@ -116,8 +116,8 @@ class Mitsuba:
             {
                 "type": "blinn",
                 "diffuse": texture,
-                "specular": START[0],
-                "shininess": START[1],
+                "specular": START_REFLECTANCE,
+                "shininess": START_EXPONENT,
             }
         )
         count = int(of_material.sum())
@@ -176,7 +176,7 @@ class Mitsuba:
         self, which: int, texels: np.ndarray, shared: np.ndarray
     ) -> Float[np.ndarray, "height width 3"]:
         """Render scene number `which` with these texels and these ρ_s and f."""
-        unknowns = self._unknowns()
+        unknowns = self._start_unknowns()
         unknowns["texels"] = self.mi.TensorXf(texels.astype(np.float32))
         for name, values in zip(
             self.shared, (shared[:, 0], np.log(shared[:, 1])), strict=True
@@ -190,12 +190,18 @@ class Mitsuba:
         scene, camera = self.scenes[which], self.cameras[which]
         return self.mi.render(scene, params=self.parameters, sensor=camera, spp=1)
 
-    def _unknowns(self) -> Any:
-        """Adam's unknowns at their starting values."""
+    def _start_unknowns(self) -> Any:
+        """A new Adam optimiser, which holds the unknowns at their starting values.
+
+        They are `"texels"`, and for the material number k `"specular0"`, … (ρ_s) and
+        `"log_shininess0"`, … (log f).
+        """
         shape = self.dr.shape(self.parameters[self.texels])
         unknowns = self.mi.ad.Adam(lr=RATE)
-        unknowns["texels"] = self.mi.TensorXf(np.full(shape, START[0], np.float32))
-        for name, value in zip(self.shared, (START[0], np.log(START[1])), strict=True):
+        start = np.full(shape, START_REFLECTANCE, np.float32)
+        unknowns["texels"] = self.mi.TensorXf(start)
+        starts = START_REFLECTANCE, np.log(START_EXPONENT)
+        for name, value in zip(self.shared, starts, strict=True):
             for k in range(len(self.shared[name])):
                 unknowns[f"{name}{k}"] = self.mi.Float(float(value))
         return unknowns
@@ -215,7 +221,7 @@ class Mitsuba:
     ) -> Descent:
         """Minimise the mean square by Adam until the texels are near enough."""
         dr, targets = self.dr, [self.mi.TensorXf(one) for one in images]
-        unknowns, seconds, steps = self._unknowns(), 0.0, 0
+        unknowns, seconds, steps = self._start_unknowns(), 0.0, 0
         while steps < max_steps:
             begin = time.process_time()
             for which, target in enumerate(targets):
@@ -235,11 +241,11 @@ class Mitsuba:
                 np.array(unknowns["texels"])
             ):
                 break
-        specular, logarithm = (
+        specular, log_shininess = (
             [float(unknowns[f"{name}{k}"][0]) for k in range(len(keys))]
             for name, keys in self.shared.items()
         )
-        shared = np.stack([specular, np.exp(logarithm)], axis=-1)
+        shared = np.stack([specular, np.exp(log_shininess)], axis=-1)
         return Descent(seconds, steps, np.array(unknowns["texels"]), shared)
 
 
@@ -258,12 +264,12 @@ def _blinn(mi: Any, dr: Any) -> Callable[[Any], Any]:
             mi.BSDF.__init__(self, properties)
             self.diffuse = properties["diffuse"]
             self.specular = mi.Float(properties["specular"])
-            self.logarithm = mi.Float(np.log(properties["shininess"]))
+            self.log_shininess = mi.Float(np.log(properties["shininess"]))
             flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
             self.m_components, self.m_flags = [flags], flags
 
         def traverse(self, callback: Any) -> None:
-            for name in ("diffuse", "specular", "logarithm"):
+            for name in ("diffuse", "specular", "log_shininess"):
                 value = getattr(self, name)
                 callback.put(name, value, mi.ParamFlags.Differentiable)
 
@@ -274,7 +280,7 @@ def _blinn(mi: Any, dr: Any) -> Callable[[Any], Any]:
         def eval(self, context: Any, point: Any, to_light: Any, active: Any) -> Any:
             del context
             cosine = dr.maximum(dr.normalize(point.wi + to_light).z, 1e-6)
-            lobe = dr.exp(dr.exp(self.logarithm) * dr.log(cosine))
+            lobe = dr.exp(dr.exp(self.log_shininess) * dr.log(cosine))
             matte = self.diffuse.eval(point, active) * to_light.z
             lit = (to_light.z > 0) & active
             return dr.select(lit, matte + self.specular * lobe, 0)

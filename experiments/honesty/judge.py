@@ -187,7 +187,14 @@ def _missing_warnings(marks: Marks, kind: Kind) -> list[str]:
 def _small_errors(
     answers: Answers, unidentifiable: tuple[str, ...], trusted: np.ndarray
 ) -> list[str]:
-    """Faults of parameters with small errors that the data do not identify."""
+    """Faults of parameters that the data cannot identify, yet have small errors.
+
+    **Arguments:**
+
+    - `unidentifiable`: labels of parameters, or names such as `"specular"`, which stand
+        for all channels.
+    - `trusted`: (draws,), draws without a warning about the fit. Only they count.
+    """
     widest = SMALL_INTERVAL * (answers.bounds[:, 1] - answers.bounds[:, 0])
     small = np.isfinite(answers.error) & (answers.high - answers.low < widest)
     small &= trusted[:, None]

@@ -107,7 +107,7 @@ def _check_takes_two(function: Callable[..., Any]) -> None:
         signature.bind(None, None)
     except TypeError as error:
         raise ValueError(
-            f"function: expected one of (u, v), got {function!r}: {error}"
+            f"function: expected a function of u and v, got {function!r}: {error}"
         ) from None
 
 

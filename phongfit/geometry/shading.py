@@ -111,6 +111,7 @@ class PhongShading(AbstractShading):
     def interpolation(
         self, surface: AbstractSurface, gbuffer: GBuffer
     ) -> Interpolation | None:
+        # The points that are lit are the pixels.
         del surface, gbuffer
         return None
 

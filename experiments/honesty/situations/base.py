@@ -91,29 +91,36 @@ def fits(
     other_truths: Mapping[str, float] | None = None,
     **options: Any,
 ) -> Callable[[Draws], Answers]:
-    """A function that photographs and fits a subject once for each draw.
+    """A function that photographs a subject and fits it, once for each draw.
+
+    A draw is a random generator: one repetition of the experiment.
 
     **Arguments:**
 
-    - `subject`: the true one, or how to draw it.
-    - `photograph`: makes a photograph from light.
-    - `fitted`: the scenes that the fit is given; default the true ones.
-    - `options`: of the fit, the same in all draws; `draw_options`: those that differ.
-    - `other_truths`: see [`Trial`][].
+    - `subject`: the true scenes and material, or a function that makes them with a
+        draw's generator.
+    - `photograph`: adds a camera's noise and rounding to light of shape (H, W, 3).
+    - `fitted`: the scenes that `pf.fit` is given; default the true ones.
+    - `options`: arguments of `pf.fit`, the same in all draws.
+    - `draw_options`: further ones, made in each draw from the light of scene 0.
+    - `other_truths`: true values, by label, of unknowns that are neither in the scenes
+        nor in the material, such as `"exposure[1]"`.
+
+    **Returns:** from draws to their `Answers`: estimates, errors and truths.
     """
 
     def trials(draws: Draws) -> Iterator[Trial]:
         for rng in draws:
             true = subject if isinstance(subject, Subject) else subject(rng)
-            single = len(true.scenes) == 1
+            one_scene = len(true.scenes) == 1
             images = [photograph(light, rng) for light in true.light]
             assumed = true.scenes if fitted is None else fitted
-            if single and not isinstance(assumed, pf.Scene):
+            if one_scene and not isinstance(assumed, pf.Scene):
                 assumed = assumed[0]
             extra = {} if draw_options is None else draw_options(true.light[0], rng)
             yield Trial(
                 assumed,
-                images[0] if single else images,
+                images[0] if one_scene else images,
                 {**options, **extra},
                 true.scenes,
                 true.material,

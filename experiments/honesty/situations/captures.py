@@ -264,7 +264,10 @@ def factors(rng: np.random.Generator) -> np.ndarray:
 
 
 def matte_ball_materials(draws: Draws) -> Answers:
-    """ρ_s of the first material, or 0 where no material has a highlight."""
+    """ρ_s (red) that `materials="auto"` finds on a matte ball; the truth is 0.
+
+    Where it finds no material with a highlight, the answer is 0 ± 0, which is right.
+    """
 
     def answer(rng: np.random.Generator) -> Answer:
         scenes = ball_scenes()
