@@ -16,10 +16,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-import phongfit as pf
-from experiments.output import save_picture
 from phongfit import cli
-from phongfit.report.pictures import Row, comparison
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "how-to" / "capture.md"
@@ -27,9 +24,6 @@ BLOCK = re.compile(r"^```(python|sh)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
 SHOWN = (2, 5, 8, 11)
 """Numbers of the photographs that are drawn, from 1 on."""
-
-COMPARED = (5, 10)
-"""Numbers of the photographs that are drawn next to their fits."""
 
 
 def run_page(folder: Path) -> dict[str, Any]:
@@ -82,17 +76,10 @@ def main(pictures: Path = Path("out/capture")) -> int:
         names = run_page(folder)
         photographs(folder / "psbox").save(pictures / "psbox.jpg", quality=88)
         shutil.copy(folder / "out/lights/calibration.png", pictures / "psbox_lamps.png")
-        fit = pf.load_fit(folder / "out/cat")
-    maps, images, mask = names["maps"], names["images"], names["mask"]
-    at = [number - 1 for number in COMPARED]
-    rows = []
-    for number in at:
-        residual = np.where(mask[..., None], np.asarray(fit.residuals[number]), 0)
-        shown = np.where(mask[..., None], np.asarray(fit.fitted[number]), 0)
-        title = f"lamp {number + 1}"
-        rows.append(Row(images[number], shown, residual, title))
-    figure = comparison(rows, ("photograph", "fit"), brighten=1.5, blocks=len(rows))
-    save_picture(pictures / "photograph_and_fit.jpg", figure)
+        compared = Image.open(folder / "out/cat/comparison.png").convert("RGB")
+        compared.thumbnail((800, 2000))
+        compared.save(pictures / "photograph_and_fit.jpg", quality=85)
+    maps = names["maps"]
     print(f"lamps' strengths: {maps.strengths.values.round(3)}")
     return 0
 
