@@ -112,7 +112,7 @@ def scene_to_opengl(scene: Scene, *, nearest: bool = False) -> Parameters:
     - `scene`: lit by at most 8 lights, with OpenGL's own highlight, [`BlinnPhong`][].
     - `nearest`: warn instead of raising an error, and leave out or replace by the
         nearest what OpenGL does not have: shadows, Phong shading, another model of the
-        highlight, colours above 1, a spot's exponent above 128.
+        highlight, fog and background above 1, a spot's exponent above 128.
 
     **Returns:** `light_model`, `shade_model`, `clamp_vertex_color`, `lights`, `fog`
     (`None` without fog) and `background`.
