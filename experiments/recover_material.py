@@ -36,7 +36,13 @@ PARAMETERS = ("ambient", "diffuse", "specular", "shininess")
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """One target: a material, its lights and what happens to the image."""
+    """One target: a material, its lights, and the noise of its images.
+
+    - `lights`: `None`: four directional ones, see [`make_dataset`][];
+    - `noise`: standard deviation in linear light, where white is 1;
+    - `images`: number of images, among which the lights are distributed;
+    - `specular`: model of the highlight.
+    """
 
     name: str
     material: pf.Material
@@ -70,7 +76,7 @@ def cases() -> list[Case]:
 
 
 def target(case: Case, resolution: int, seed: int) -> Dataset:
-    """The images of a case."""
+    """The images of a case: linear, 8 bits, `resolution` × `resolution` pixels."""
     return make_dataset(
         case.material,
         key=jax.random.key(seed),
@@ -86,7 +92,10 @@ def target(case: Case, resolution: int, seed: int) -> Dataset:
 
 
 def numbers(case: Case, fit: pf.Fit) -> dict:
-    """Truth, estimate and error of every unknown, and what is wrong with them."""
+    """Truth, estimate and error of every unknown, in the order of `labels`.
+
+    `wrong` has a sentence for each failed check.
+    """
     truth = truth_values(case.material, fit.labels)
     deviation = np.abs(fit.values - truth)
     failed_checks = [
@@ -118,14 +127,15 @@ def truth_values(material: pf.Material, labels: Sequence[str]) -> np.ndarray:
     channels = ("red", "green", "blue")
     values = []
     for label in labels:
-        leaf, _, channel = label.partition(".")
-        value = np.broadcast_to(np.asarray(getattr(material, leaf)), (3,))
+        name, _, channel = label.partition(".")
+        value = np.broadcast_to(np.asarray(getattr(material, name)), (3,))
+        # A label without a channel is of a parameter that all channels share.
         values.append(value[channels.index(channel)] if channel else value[0])
     return np.array(values, float)
 
 
 def show(result: dict) -> Table:
-    """Truth against estimate as a table."""
+    """Table of truth and estimate, from a result of [`numbers`][]."""
     state = f"converged in {result['steps']} steps" if result["converged"] else "FAILED"
     table = Table(title=f"{result['name']}: {state}", title_justify="left")
     for column in ("", "truth", "estimate", "± std. error", "off by"):
