@@ -23,6 +23,7 @@ from jaxtyping import Float
 
 import phongfit as pf
 
+# Adam's learning rate.
 RATE = 0.03
 # Start of Adam: reflectances in mid-range, f = 8.
 START_REFLECTANCE, START_EXPONENT = 0.5, 8.0
@@ -37,7 +38,10 @@ mi.render(mi.load_dict(mi.cornell_box()), spp=1).numpy()
 
 
 def mitsuba_works() -> bool:
-    """Whether Mitsuba renders here, tried in another process since it may crash."""
+    """Whether Mitsuba renders here, tried in another process since it may crash.
+
+    If the variable `LIBRARY` of the environment is not set, it becomes the newest LLVM.
+    """
     if LIBRARY not in os.environ and (newest := _newest_llvm()) is not None:
         os.environ[LIBRARY] = newest
     tried = subprocess.run([sys.executable, "-c", PROBE], capture_output=True)
@@ -59,7 +63,9 @@ class Descent:
     """Result of Adam.
 
     - `seconds`: CPU time of the steps alone.
-    - `texels`: the texture; `shared`: ρ_s and f of each material.
+    - `steps`: number of steps taken.
+    - `texels`: the fitted texture.
+    - `shared`: fitted ρ_s and f of each material.
     """
 
     seconds: float
@@ -133,6 +139,7 @@ class Mitsuba:
         return mesh_part
 
     def _scene(self, scene: pf.Scene, parts: list[Any]) -> Any:
+        """Mitsuba's scene of mesh parts under the lamp of `scene`, without a camera."""
         (lamp,) = scene.lights
         assert isinstance(lamp, pf.DirectionalLight)
         away = (-np.asarray(lamp.direction, float)).tolist()
@@ -175,7 +182,11 @@ class Mitsuba:
     def picture(
         self, which: int, texels: np.ndarray, shared: np.ndarray
     ) -> Float[np.ndarray, "height width 3"]:
-        """Render scene number `which` with these texels and these ρ_s and f."""
+        """Render scene number `which`, in linear light.
+
+        **Arguments:** `texels`: (rows, columns, 3); `shared`: ρ_s and f of each
+        material, (materials, 2).
+        """
         unknowns = self._start_unknowns()
         unknowns["texels"] = self.mi.TensorXf(texels.astype(np.float32))
         for name, values in zip(
@@ -187,6 +198,7 @@ class Mitsuba:
         return np.array(self._render(which))
 
     def _render(self, which: int) -> Any:
+        """Image of scene number `which`, differentiable in the current parameters."""
         scene, camera = self.scenes[which], self.cameras[which]
         return self.mi.render(scene, params=self.parameters, sensor=camera, spp=1)
 
@@ -207,6 +219,7 @@ class Mitsuba:
         return unknowns
 
     def _show(self, unknowns: Any) -> None:
+        """Set the scenes' parameters to the current values of the unknowns."""
         self.parameters[self.texels] = unknowns["texels"]
         for name, keys in self.shared.items():
             for k, key in enumerate(keys):
@@ -219,7 +232,15 @@ class Mitsuba:
         near_enough: Callable[[np.ndarray], bool],
         max_steps: int,
     ) -> Descent:
-        """Minimise the mean square by Adam until the texels are near enough."""
+        """Minimise the mean square residual by Adam until the texels are near enough.
+
+        **Arguments:**
+
+        - `images`: photographs of all scenes, in linear light clamped at 1.
+        - `near_enough`: whether texels (rows, columns, 3) need no more steps; called
+            every tenth step, and its time does not count.
+        - `max_steps`: steps after which Adam ends in any case.
+        """
         dr, targets = self.dr, [self.mi.TensorXf(one) for one in images]
         unknowns, seconds, steps = self._start_unknowns(), 0.0, 0
         while steps < max_steps:
@@ -250,6 +271,7 @@ class Mitsuba:
 
 
 def _flat(values: np.ndarray) -> np.ndarray:
+    """Values as a one-dimensional array of float32, as Mitsuba's meshes want them."""
     return np.ascontiguousarray(values, np.float32).ravel()
 
 
