@@ -1,4 +1,4 @@
-"""Made-up photographs of a known material."""
+"""Synthetic photographs of a known material."""
 
 import dataclasses
 from collections.abc import Iterable
@@ -49,9 +49,9 @@ def make_dataset(
     - `surface`, `camera`: default a ball of radius 1 that fills 256 × 256 pixels.
     - `lights`: default four directional ones of equal intensity, so bright that the
         brightest sample is 95 % of white.
-    - `images`: number of images, 1 to the number of lights. The lights are dealt out
-        in turn: image k of n has the lights k, k + n, k + 2n, … `None`: one image for
-        each light.
+    - `images`: number of images, 1 to the number of lights, among which the lights are
+        distributed: image k of n has the lights k, k + n, k + 2n, … `None`: one image
+        for each light.
     - `ambient`: the ambient light I_a, RGB or one number.
     - `specular_model`: model of the highlight; `None` is Blinn-Phong.
     - `noise`: standard deviation of Gaussian noise in linear light, where white is 1;
@@ -99,7 +99,7 @@ def make_dataset(
 def distribute_lights(
     scene: Scene, lights: tuple[AbstractLight, ...], images: int | None
 ) -> tuple[Scene, ...]:
-    """Copies of `scene`, one for each image, among which the lights are dealt out.
+    """Copies of `scene`, one for each image, among which the lights are distributed.
 
     **Arguments:**
 

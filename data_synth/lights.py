@@ -85,6 +85,7 @@ def make_lights(
 def _directional(
     direction: np.ndarray, intensity: Any, center: np.ndarray, radius: float
 ) -> AbstractLight:
+    """A directional light; all makers take the same arguments."""
     del center, radius
     return DirectionalLight(direction, intensity)
 
@@ -92,6 +93,7 @@ def _directional(
 def _point(
     direction: np.ndarray, intensity: Any, center: np.ndarray, radius: float
 ) -> AbstractLight:
+    """A point light 4 radii from `center`, where `intensity` arrives."""
     distance = DISTANCE * radius
     # The inverse-square law, with 1 at the object's centre.
     return PointLight(
@@ -102,6 +104,7 @@ def _point(
 def _spot(
     direction: np.ndarray, intensity: Any, center: np.ndarray, radius: float
 ) -> AbstractLight:
+    """A spot 4 radii from `center`: it points there, and there `intensity` arrives."""
     distance = DISTANCE * radius
     # The object's rim is 14.5° off the cone's axis, so the cone's hard edge misses it:
     # at an edge, pixels would depend on rounding errors. At the rim the exponent leaves

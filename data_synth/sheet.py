@@ -1,4 +1,4 @@
-"""The contact sheet: a data set at a glance."""
+"""The contact sheet: one figure of all images of a data set."""
 
 import math
 from pathlib import Path
@@ -116,6 +116,7 @@ def _describe(light: AbstractLight) -> str:
 
 
 def _vector(vector: Float[np.ndarray, "3"]) -> str:
+    """A vector with two decimals, such as "(0.50, −0.25, 1.00)"."""
     numbers = ", ".join(f"{number:.2f}" for number in vector)
     return f"({numbers})".replace("-", "\N{MINUS SIGN}")
 

@@ -33,7 +33,7 @@ UNCLAMPED = pf.Film(clamp=False)
 
 @dataclasses.dataclass(frozen=True)
 class Result:
-    """Differences between sums of pictures and pictures of sums.
+    """Sums of pictures against pictures of summed light, and effects of the clamp.
 
     - `sum_error`: largest difference, in units of white, between the picture under all
         lamps and the sum of the pictures under each;

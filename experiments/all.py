@@ -2,7 +2,7 @@
 
 OUT becomes a folder with `contents.html`, which shows each experiment's question, its
 answer and its figure, and beside it the figures (NAME.png, NAME.gif) and the numbers
-(NAME.json). The exit status is 1 if something that should hold does not.
+(NAME.json). The exit status is 1 if a check fails.
 """
 
 import re
@@ -99,7 +99,7 @@ def main(
 ) -> int:
     """Make every experiment, and a page of contents with all figures and answers.
 
-    Exit status 1 if something that should hold does not.
+    Exit status 1 if a check fails.
 
     Args:
         out: Folder to make; one that was made like this is replaced.

@@ -215,7 +215,7 @@ def empty_block(place: Place, number: int) -> tuple[dict[str, int], bool]:
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """Options.
+    """Options of the command.
 
     Args:
         small: Less of everything, for a first look.

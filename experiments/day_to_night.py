@@ -120,9 +120,7 @@ def split_by_source(
     dark = jnp.zeros_like(scene.ambient)
 
     def image(on: int | None, ambient: bool) -> np.ndarray:
-        """The picture with lamp `on` alone (`None`: no lamp), and with ambient light
-        or without.
-        """
+        """The picture with only lamp number `on` (`None`: none), and maybe ambient."""
         lamps = [
             light if k == on else eqx.tree_at(lambda one: one.intensity, light, dark)
             for k, light in enumerate(scene.lights)

@@ -125,7 +125,7 @@ class Experiment:
 
 HELP = """{question}
 
-{method} Exit status 1 if something that should hold does not.
+{method} Exit status 1 if a check fails.
 
 Args:
     small: Few pixels and few draws: quick and coarse.

@@ -49,6 +49,7 @@ class IdealMirror(pf.AbstractSpecular):
         return inside.astype(cosine.dtype)
 
     def diffuse_scale(self) -> float:
+        """1: this model does not normalise the diffuse term."""
         return 1.0
 
 
@@ -194,8 +195,8 @@ def find(small: bool) -> Finding:
         "the "
         f"lamp {ANGLES[-1]:g}° away it is {far.min():.2f} to {far.max():.2f}, and no "
         "Phong highlight is like Blinn's: Phong's is drawn out along the ball's rim, "
-        "as a mirror's is, and Blinn's stays round. There "
-        f"{100 * result.residual[-1, -1]:.0f} % of it is left over, against "
+        "as a mirror's is, and Blinn's stays round. There the residual is "
+        f"{100 * result.residual[-1, -1]:.0f} % of the highlight (RMS), against "
         f"{100 * result.residual[-1, 0]:.1f} % at {ANGLES[0]:g}° "
         f"(f = {EXPONENTS[-1]:g})."
     )

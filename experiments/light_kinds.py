@@ -279,7 +279,7 @@ def find(small: bool) -> Finding:
         f"{CUTOFF:g}° "
         f"{100 * spot:.0f} %. Fog takes contrast as e^(−ρz), half of it in "
         f"{np.log(2) / DENSITY:.1f} units. The ball's shadow is {result.shadow:.2f} "
-        f"units² large, where the formula says {result.shadow_formula:.2f}. Light and "
+        f"units² large, by the formula {result.shadow_formula:.2f}. Light and "
         f"fog differ from their formulas by {worst:.0e} at most."
     )
     # A pixel counts as shadow or as light, so the shadow's area has an error of the

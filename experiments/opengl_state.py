@@ -116,6 +116,7 @@ def light_to_opengl(light: AbstractLight, *, nearest: bool = False) -> Parameter
 
 
 def _floats(array: Float[Array, " n"]) -> list[float]:
+    """Numbers of an array as Python's floats."""
     return [float(value) for value in np.asarray(array)]
 
 

@@ -49,7 +49,7 @@ TRUTH = "normals.png"
 
 @dataclasses.dataclass(frozen=True)
 class Photos:
-    """Photographs and the truth.
+    """Photographs of an object, and its true normals.
 
     - `photographs`: files, and scenes with their lamps;
     - `truth`: true unit normals in the camera's axes (x right, y up, z to the camera);
@@ -94,11 +94,12 @@ def read(folder: Path, encoding: Encoding | None) -> Photos:
 
 
 def every_nth(photos: Photos, every: int) -> Photos:
-    """Keep every `every`-th photograph, from the first on."""
+    """Keep one of every `every` photographs, beginning with the first."""
     data, pick = photos.photographs, slice(None, None, every)
     chosen = range(len(data.names))[pick]
 
     def read_one(number: int):
+        """Read one of the kept photographs, counted from 0."""
         return data.read(chosen[number])
 
     part = dataclasses.replace(

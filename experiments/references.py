@@ -1,4 +1,4 @@
-"""Scenes that other renderers drew: their files.
+"""Reading scenes with the images that other renderers made of them.
 
 `NAME.json` describes a scene, `NAME.npz` contains its mesh and image. There are two
 kinds: scenes of OpenGL's fixed-function pipeline, and scenes of a ray tracer (POV-Ray).
@@ -67,7 +67,10 @@ class Reference(NamedTuple):
 
 
 def find_references(folder: Path) -> list[Path]:
-    """Paths of the scenes in a folder. **Raises:** `ValueError` if there are none."""
+    """Paths of the scenes (`NAME.json`) in a folder, sorted.
+
+    **Raises:** `ValueError` if there are none.
+    """
     paths = sorted(folder.glob("*.json"))
     if not paths:
         raise ValueError(f"{folder}: there is no NAME.json of a scene in this folder")

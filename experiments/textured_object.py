@@ -158,7 +158,7 @@ def photograph(
 
 
 class Accuracy(NamedTuple):
-    """Accuracy of a fit.
+    """Accuracy of a fitted texture, next to the truth.
 
     - `pulls`: RMS of (value − true) / error of the texels seen three times or more.
     - `texels`: number of these texels, and of all.
@@ -186,7 +186,7 @@ class Accuracy(NamedTuple):
 
 
 class TextureResult(NamedTuple):
-    """Result of a fit.
+    """A fitted texture, with what the texels of a material share.
 
     - `values`, `errors`: diffuse texels and their standard errors, (rows, columns, 3);
     - `seen`: number of pixels that see each texel, (rows, columns);

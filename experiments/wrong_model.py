@@ -310,7 +310,7 @@ def summarize(right: Outcome, others: list[Outcome]) -> str:
         f"{len(misled)} of {len(others)} mistakes move a parameter by more than three "
         "of its stated errors; the exponent suffers most: "
         f"{worst.name!r} moves f = {float(TRUTH.shininess):g} by "
-        f"{worst.bias[PARAMETERS.index('shininess')]:+.0f}. What gives them away: "
+        f"{worst.bias[PARAMETERS.index('shininess')]:+.0f}. Detected by: "
         + ", ".join(
             f"{name} {count} of {len(others)}" for name, count in counts.items()
         )
@@ -350,14 +350,14 @@ def find(small: bool) -> Finding:
             for outcome in outcomes
         },
         draw(outcomes),
-        "Maps of what fits leave over: noise where the model is right, rings, "
-        "crescents and patches where it is wrong; a table of how far each parameter "
-        "is off, and which diagnostics say so.",
+        "Maps of residuals: noise where the model is right, rings, crescents and "
+        "patches where it is wrong; a table of how far each parameter is off, and "
+        "which diagnostics detect it.",
         Table(
             (
                 "mistake",
                 *(f"{style.PARAMETERS[name][2]} off" for name in PARAMETERS),
-                "given away by",
+                "detected by",
             ),
             rows,
         ),

@@ -99,6 +99,7 @@ def _vmapped(
     start = jnp.asarray(START, target.dtype)
 
     def residual(y: Array, args: tuple[Array, Array, Array]) -> Array:
+        # y[9] is log f, and the lobe is exp(f log n·h).
         target, lit, logarithm = args
         lobe = jnp.where(lit > 0, jnp.exp(jnp.exp(y[9]) * logarithm), 0)
         light = (
@@ -149,7 +150,7 @@ def scipy_loop(stack: Stack, pixels: int) -> MethodResult:
         np.asarray(part.logarithm, float)[..., None],
         strict=True,
     ):
-
+        # Defaults bind this pixel's arrays: a closure would see the loop's last ones.
         def residual(y, target=target, lit=lit, logarithm=logarithm):
             lobe = np.where(lit > 0, np.exp(np.exp(y[9]) * logarithm), 0)
             return (AMBIENT * y[:3] + lit * y[3:6] + lobe * y[6:9] - target).ravel()

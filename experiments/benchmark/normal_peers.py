@@ -55,6 +55,7 @@ def _vmapped(
     start = jnp.concatenate([jnp.zeros(2), jnp.asarray(START)]).astype(target.dtype)
 
     def residual(y: Array, target: Array) -> Array:
+        # y[11] is log f, and the lobe is exp(f log n·h).
         normal = jnp.concatenate([y[:2], jnp.ones_like(y[:1])])
         normal = normal / jnp.linalg.norm(normal)
         lit, cosine = jnp.maximum(directions @ normal, 0), half @ normal

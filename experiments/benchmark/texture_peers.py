@@ -54,13 +54,15 @@ def _newest_llvm() -> str | None:
         known = subprocess.run(["ldconfig", "-p"], capture_output=True, text=True)
     except OSError:
         return None
-    found = re.findall(r"=> (\S*/libLLVM\D*(\d+)\S*)", known.stdout)
-    return max(found, key=lambda one: int(one[1]))[0] if found else None
+    # Pairs of path and version.
+    libraries = re.findall(r"=> (\S*/libLLVM\D*(\d+)\S*)", known.stdout)
+    newest = max(libraries, key=lambda library: int(library[1]), default=None)
+    return None if newest is None else newest[0]
 
 
 @dataclasses.dataclass(frozen=True)
 class Descent:
-    """Result of Adam.
+    """Result of a fit by Adam.
 
     - `seconds`: CPU time of the steps alone.
     - `steps`: number of steps taken.
@@ -91,11 +93,11 @@ class Mitsuba:
         self.mi.register_bsdf("blinn", _blinn(self.mi, self.dr))
         mesh = scenes[0].surface
         assert isinstance(mesh, pf.Mesh)
-        none = np.full((rows, rows, 3), START_REFLECTANCE, np.float32)
+        uniform = np.full((rows, rows, 3), START_REFLECTANCE, np.float32)
         texture = self.mi.load_dict(
             {
                 "type": "bitmap",
-                "bitmap": self.mi.Bitmap(none),
+                "bitmap": self.mi.Bitmap(uniform),
                 "raw": True,
                 "filter_type": "bilinear",
                 "wrap_mode": "repeat",
@@ -278,10 +280,13 @@ def _flat(values: np.ndarray) -> np.ndarray:
 def _blinn(mi: Any, dr: Any) -> Callable[[Any], Any]:
     """A BSDF class for Mitsuba with the formulas of [`BlinnPhong`][], not normalised.
 
-    The parameters are a diffuse texture, ρ_s and log f.
+    The parameters are a diffuse texture, ρ_s and log f. Vectors are in Mitsuba's local
+    frame, whose z is the normal.
     """
 
     class Blinn(mi.BSDF):
+        """Reflection under distant lamps alone: directions are never sampled."""
+
         def __init__(self, properties: Any):
             mi.BSDF.__init__(self, properties)
             self.diffuse = properties["diffuse"]
@@ -291,15 +296,18 @@ def _blinn(mi: Any, dr: Any) -> Callable[[Any], Any]:
             self.m_components, self.m_flags = [flags], flags
 
         def traverse(self, callback: Any) -> None:
+            """Tell Mitsuba the names of the differentiable parameters."""
             for name in ("diffuse", "specular", "log_shininess"):
                 value = getattr(self, name)
                 callback.put(name, value, mi.ParamFlags.Differentiable)
 
         def sample(self, context: Any, point: Any, *rest: Any) -> Any:
+            """Zeros: required by Mitsuba, but the integrator takes no such samples."""
             del context, point, rest
             return dr.zeros(mi.BSDFSample3f), mi.Spectrum(0)
 
         def eval(self, context: Any, point: Any, to_light: Any, active: Any) -> Any:
+            """Light towards the viewer (`point.wi`), with the factor n · l included."""
             del context
             cosine = dr.maximum(dr.normalize(point.wi + to_light).z, 1e-6)
             lobe = dr.exp(dr.exp(self.log_shininess) * dr.log(cosine))
@@ -308,10 +316,12 @@ def _blinn(mi: Any, dr: Any) -> Callable[[Any], Any]:
             return dr.select(lit, matte + self.specular * lobe, 0)
 
         def pdf(self, context: Any, point: Any, to_light: Any, active: Any) -> Any:
+            """0, the probability density of a direction, since none is sampled."""
             del context, point, to_light, active
             return mi.Float(0)
 
         def eval_pdf(self, context: Any, point: Any, to_light: Any, active: Any) -> Any:
+            """The results of `eval` and of `pdf`."""
             light = self.eval(context, point, to_light, active)
             return light, mi.Float(0)
 

@@ -152,7 +152,7 @@ def _false_alarms(marks: Marks, kind: Kind) -> list[str]:
     if too_many(marks.warned.sum(), len(marks.warned), MAX_FALSE_ALARMS):
         faults.append(f"{marks.warned.mean():.1%} of the draws are false alarms")
     if kind == "right" and fraction(~marks.finite) > MAX_INFINITE:
-        faults.append("too many parameters are said not to be identifiable")
+        faults.append("too many parameters have an infinite error")
     return faults
 
 

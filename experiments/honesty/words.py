@@ -72,7 +72,7 @@ def subject_of(warning: str) -> WarningSubject:
 
 
 def is_doubtful(warning: str) -> bool:
-    """Whether a warning casts doubt on all numbers of a fit."""
+    """Whether a warning casts doubt on all numbers of a fit, or replaces its answer."""
     return subject_of(warning) in (WarningSubject.FIT, WarningSubject.REFUSED)
 
 
@@ -102,4 +102,5 @@ def _key(warning: str) -> str:
 
 
 def _without_numbers(sentence: str) -> str:
+    """The sentence with "#" for each whole number, so that draws give the same one."""
     return re.sub(r"\d+", "#", sentence)

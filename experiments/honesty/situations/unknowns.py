@@ -40,7 +40,10 @@ def situations() -> list[Situation]:
 
 
 def small_ball(*lights: pf.AbstractLight, **changes: Any) -> pf.Scene:
-    """A ball of few pixels, since these fits try many starts."""
+    """The usual ball in 32 × 32 pixels, since these fits try many starts.
+
+    **Arguments:** `lights`, `changes`: as in [`ball_scene`][].
+    """
     return ball_scene(*lights, size=SMALL, **changes)
 
 
@@ -270,7 +273,11 @@ def mirrored() -> dict[str, Any]:
 
 
 def ties_and_priors() -> list[Situation]:
-    """Situations with right and with wrong ties and priors."""
+    """Situations with right and with wrong ties and priors.
+
+    A tie is a label, or a pair of factor and label; a prior is mean and standard
+    deviation.
+    """
     grey_specular = usual_material(specular=0.3)
     equal = {"specular.green": "specular.red", "specular.blue": "specular.red"}
     half = {"diffuse.green": (0.5, "diffuse.red")}

@@ -152,7 +152,10 @@ def pixel_coordinates(light: Image) -> tuple[np.ndarray, np.ndarray]:
 
 
 def ground(light: Image, rng: np.random.Generator) -> Image:
-    """Add light that a table reflects from below, and noise."""
+    """Add light that a table reflects from below, and noise.
+
+    0.03 at the lower edge of the image, falling linearly to 0 at the upper one.
+    """
     _, y = pixel_coordinates(light)
     seen = light.any(axis=-1, keepdims=True)
     return noisy()(light + np.where(seen, 0.03 * (1 - y) / 2, 0), rng)
@@ -165,7 +168,7 @@ def vignetting(light: Image, rng: np.random.Generator) -> Image:
 
 
 def blurred(light: Image, rng: np.random.Generator) -> Image:
-    """Blur the light by a pixel, and add noise afterwards."""
+    """Blur the light by a Gaussian of σ = 1 pixel, and add noise afterwards."""
     return noisy()(gaussian_filter(light, (1, 1, 0)), rng)
 
 
@@ -177,7 +180,7 @@ def shifted() -> pf.Scene:
 
 
 def shadowed(light: Image, rng: np.random.Generator) -> Image:
-    """Darken a disc, as an object in the lamp's way does; add noise."""
+    """Darken a disc to 0.6 of its light, as an object before the lamp; add noise."""
     x, y = pixel_coordinates(light)
     disc = (x + 0.2) ** 2 + (y - 0.1) ** 2 < 0.15**2
     return noisy()(np.where(disc, 0.6 * light, light), rng)
@@ -190,6 +193,6 @@ def rippled(light: Image, rng: np.random.Generator) -> Image:
 
 
 def black_level(light: Image, rng: np.random.Generator) -> Image:
-    """Add a black level of 0.01 in every other band of rows, and noise."""
+    """Add a black level of 0.01 in every second band of 12 rows, and noise."""
     band = (np.arange(len(light)) // 12 % 2)[:, None, None]
     return noisy()(light + 0.01 * band, rng)
