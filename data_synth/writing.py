@@ -57,6 +57,7 @@ def write_dataset(
 
 
 def _is_ours(name: str) -> bool:
+    """Whether a file in the folder has a name that [`write_dataset`][] gives."""
     return OURS.fullmatch(name) is not None
 
 

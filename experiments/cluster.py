@@ -64,6 +64,7 @@ def make_shard(path: str, number: int) -> None:
     """
     array: Any = writable(open_group(path, "r+"), "images")
     _, height, width, _ = array.shape
+    # The array's chunks, of shape (lights, side, side, 3), are the shards.
     side = array.chunks[1]
     columns = width // side
     top, left = side * (number // columns), side * (number % columns)
@@ -103,8 +104,8 @@ def make_stack(client: Any, folder: Path, rows: int, columns: int, side: int) ->
     shape = (LIGHTS, rows * side, columns * side, 3)
     group = open_group(path, "a")
     make_array(group, "images", shape, "uint16", (LIGHTS, side, side, 3))
-    made = client.map(make_shard, [str(path)] * (rows * columns), range(rows * columns))
-    client.gather(made)
+    count = rows * columns
+    client.gather(client.map(make_shard, [str(path)] * count, range(count)))
     return path
 
 
@@ -180,10 +181,10 @@ def cpu_seconds(client: Any) -> float:
 
 def same_bits(a: Path, b: Path) -> bool:
     """Whether two stores contain the same maps, bit for bit."""
-    one, other = open_group(a), open_group(b)
-    names: Any = one.attrs["arrays"]
-    pairs = ((writable(group, name) for group in (one, other)) for name in names)
-    return all(np.asarray(a).tobytes() == np.asarray(b).tobytes() for a, b in pairs)
+    groups = open_group(a), open_group(b)
+    names: Any = groups[0].attrs["arrays"]
+    pairs = ((writable(group, name) for group in groups) for name in names)
+    return all(np.asarray(x).tobytes() == np.asarray(y).tobytes() for x, y in pairs)
 
 
 def size_of(path: Path) -> int:
@@ -196,6 +197,7 @@ def overhead(client: Any, count: int) -> float:
 
     [`empty_block`][] must have taken the place of [`fit_block`][].
     """
+    # Blocks without work read and write nothing, so they need no paths.
     place = Place("", b"", "")
     start = time.perf_counter()
     done = sum(1 for _ in cluster._spread(client, place, count))

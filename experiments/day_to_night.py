@@ -125,11 +125,11 @@ def split_by_source(
             light if k == on else eqx.tree_at(lambda one: one.intensity, light, dark)
             for k, light in enumerate(scene.lights)
         ]
-        one = dataclasses.replace(
+        partly_lit = dataclasses.replace(
             scene, lights=tuple(lamps), ambient=scene.ambient if ambient else dark
         )
-        shown = pf.render(one, MATERIAL, film=UNCLAMPED, gbuffer=gbuffer)
-        return np.asarray(shown, float)
+        picture = pf.render(partly_lit, MATERIAL, film=UNCLAMPED, gbuffer=gbuffer)
+        return np.asarray(picture, float)
 
     # Without any light the fog and the background remain, in every picture.
     fog = image(None, False)

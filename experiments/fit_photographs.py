@@ -169,6 +169,8 @@ def _figure(data: Dataset, predicted: list[np.ndarray]):
     """Draw a few of the left-out photographs, their predictions and the differences."""
     # Spread evenly over the photographs, without the first and the last.
     shown = np.unique(np.linspace(0, len(data.images) - 1, SHOWN + 2)[1:-1].astype(int))
+    # Photographs are brightened by one factor, so that 99.5 % of the samples of each
+    # are below white.
     brightest = max(float(np.quantile(data.images[k], 0.995)) for k in shown)
     rows = []
     for k in shown:

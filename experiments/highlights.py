@@ -184,6 +184,7 @@ def find(small: bool) -> Finding:
     """Run the experiment: measure, draw and answer; `small`: quick and coarse."""
     size = 48 if small else 128
     result = measure(size)
+    # Ratios for the lamp nearest to the viewer's direction, and for the farthest.
     near, far = result.ratio[:, 0], result.ratio[:, -1]
     answer = (
         "An ideal mirror shows the lamp itself, as a disc; Phong and Blinn blur it, "

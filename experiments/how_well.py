@@ -304,6 +304,7 @@ def draw_ratios(axes: Axes, results: Results) -> None:
         for k, name in enumerate(PARAMETERS):
             colour, marker, _ = style.PARAMETERS[name]
             ratio = [spread.ratio[k] for spread in spreads]
+            # Marks of the four parameters stand side by side.
             axes.plot(x + 0.18 * (k - 1.5), ratio, marker, c=colour, ms=3.5)
         middles.append(x.mean())
         start += len(spreads) + 1

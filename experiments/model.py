@@ -66,6 +66,7 @@ def measure(size: int) -> Result:
     diffuse = np.array([light(scene, diffuse=fraction) for fraction in FRACTIONS])
     ambient = np.array([light(scene, ambient=fraction) for fraction in FRACTIONS])
     specular = np.array([light(scene, specular=s, shininess=25.0) for s in SPECULARS])
+    # Difference from the image of the largest fraction, scaled to each fraction.
     nonlinearity = [
         np.abs(images - np.multiply.outer(fractions, images[-1] / fractions[-1])).max()
         for images, fractions in (

@@ -57,13 +57,13 @@ def cases() -> list[Case]:
     plastic = pf.Material((0.55, 0.25, 0.15), 0.3, 10.0, (0.5, 0.25, 0.15))
     phong = pf.Material((0.1, 0.35, 0.5), 0.35, 25.0, (0.2, 0.5, 0.6))
     matte = pf.Material((0.35, 0.5, 0.3), 0.0, 32.0, (0.4, 0.5, 0.3))
-    one = make_lights(1, intensity=0.9)
+    one_light = make_lights(1, intensity=0.9)
     return [
-        Case("plastic, 1 light, 8 bits", plastic, one),
-        Case("plastic, 1 light, noise 1 %", plastic, one, 0.01),
+        Case("plastic, 1 light, 8 bits", plastic, one_light),
+        Case("plastic, 1 light, noise 1 %", plastic, one_light, 0.01),
         Case("plastic, 4 lights in 1 image, noise 1 %", plastic, None, 0.01),
         Case("Phong's model, point light, 8 bits", phong, make_lights(1, "point")),
-        Case("brass, 1 light, noise 1 %", pf.preset("brass"), one, 0.01),
+        Case("brass, 1 light, noise 1 %", pf.preset("brass"), one_light, 0.01),
         Case("chrome, 4 images, noise 1 %", pf.preset("chrome"), None, 0.01, 4),
         Case(
             "gold, 3 kinds of light, noise 2 %",
@@ -71,7 +71,7 @@ def cases() -> list[Case]:
             make_lights(3, "mixed", intensity=0.5),
             0.02,
         ),
-        Case("matte, 1 light, noise 1 %", matte, one, 0.01),
+        Case("matte, 1 light, noise 1 %", matte, one_light, 0.01),
     ]
 
 

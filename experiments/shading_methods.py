@@ -151,6 +151,7 @@ def highlight(rows: int, size: Size) -> dict[str, tuple[np.ndarray, np.ndarray]]
     # What a pixel sees depends on neither lamp nor shading, so it is traced once.
     gbuffer = ball(rows, "Phong", camera, directions[0]).trace()
     measured = {}
+    # All channels are equal, so one is kept.
     for name in METHODS:
         images = np.array(
             [
@@ -196,6 +197,7 @@ def edge_jumps(rows: int, pixels: int) -> dict[str, tuple[float, float]]:
             film=UNCLAMPED,
             gbuffer=gbuffer,
         )
+        # From pixel to pixel along rows, in one of the channels, which are all equal.
         step = np.diff(np.asarray(image, float)[..., 0], axis=1)
         slope = (step[:, 2:] - step[:, :-2])[meet] / pixel
         # The change across the edge, minus the part that the slopes of both faces

@@ -175,6 +175,7 @@ def excess_cost(seed: int, starts: int) -> float:
     problem, unknowns = fit.solution.problem, fit.solution.problem.unknowns
     low, high = np.asarray(unknowns.lower), np.asarray(unknowns.upper)
     rng = np.random.default_rng(seed)
+    # Uniform between the bounds of the solver's vector, which has log f.
     points = low + (high - low) * rng.random((starts, len(low)))
     ends = _solve_all(problem, jnp.asarray(points.astype(low.dtype)))
     costs = np.where(np.isfinite(ends.cost), ends.cost, np.inf)

@@ -188,12 +188,13 @@ def rows(pixels: int = 16_000, lights: int = 96, *, scipy: int = 200) -> list[Ro
 
 
 def as_rows(maps: pf.Maps) -> tuple[np.ndarray, np.ndarray]:
-    """A map's estimates and errors, (pixels, 10) each; the last column is for log f."""
-    leaves = ("ambient", "diffuse", "specular", "shininess")
+    """A map's estimates and errors, (pixels, 10) each, in the order of `START`."""
+    names = ("ambient", "diffuse", "specular", "shininess")
     values, errors = (
-        np.concatenate([getattr(of, name) for name in leaves], axis=-1, dtype=float)
-        for of in (maps, maps.stderr)
+        np.concatenate([getattr(part, name) for name in names], axis=-1, dtype=float)
+        for part in (maps, maps.stderr)
     )
+    # From f to log f, whose standard error is that of f over f.
     errors[..., 9] /= values[..., 9]
     values[..., 9] = np.log(values[..., 9])
     return values.reshape(-1, UNKNOWNS), errors.reshape(-1, UNKNOWNS)

@@ -167,8 +167,8 @@ if __name__ == "__main__":
     parser.add_argument("--folder", type=Path, help="keep the photographs there")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
-        place = options.folder or Path(temporary)
-        if not (place / "scene.json").exists():
-            place.mkdir(parents=True, exist_ok=True)
-            make_photographs(place, options.megapixels, options.lights)
-        print(json.dumps(measure(place), indent=2))
+        folder = options.folder or Path(temporary)
+        if not (folder / "scene.json").exists():
+            folder.mkdir(parents=True, exist_ok=True)
+            make_photographs(folder, options.megapixels, options.lights)
+        print(json.dumps(measure(folder), indent=2))

@@ -135,9 +135,11 @@ def adam(problem: Problem, y: Array, answer: Array) -> Callable[[], Any]:
     import optax
 
     rule = optax.adam(ADAM_RATE)
+    # Index of log f, the only logarithm among the unknowns.
     f = int(np.flatnonzero(problem.unknowns.logarithmic)[0])
 
     def loss(y: Array, problem: Problem) -> Array:
+        # Residuals are in units of σ, and renderers minimise differences of light.
         return jnp.mean((problem.residual(y) * problem.sigma) ** 2)
 
     @eqx.filter_jit
@@ -179,9 +181,9 @@ def rows(resolution: int, runs: int, console: Console) -> list[Row]:
             lambda: optimistix_lm(problem, y, lx.Normal(lx.Cholesky())),
         ),
     }
-    one = "LM with OpenBLAS on one thread"
-    if installed("threadpoolctl", one, "pip install phongfit[benchmark]", console):
-        methods["lm_one"] = f"optimistix {one}", on_one_thread(methods["lm"][1])
+    name = "LM with OpenBLAS on one thread"
+    if installed("threadpoolctl", name, "pip install phongfit[benchmark]", console):
+        methods["lm_one"] = f"optimistix {name}", on_one_thread(methods["lm"][1])
     rate = f"rate {ADAM_RATE}, to 1e-3 in f"
     if installed("optax", "Adam", "pip install phongfit[benchmark]", console):
         methods["adam"] = f"Adam (optax), {rate}", adam(problem, y, answer)

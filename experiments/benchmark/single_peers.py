@@ -86,6 +86,7 @@ def written_out(problem: Problem) -> WrittenOut:
     assert problem.clamp and problem.samples.step is None and terms.cosine.shape[1] == 1
 
     def kept(array: Any) -> np.ndarray:
+        """The used pixels of an array with three channels, (3, pixels)."""
         return np.asarray(array, float).reshape(3, -1)[:, used]
 
     cosine = np.asarray(terms.cosine, float).ravel()[used]
@@ -120,6 +121,7 @@ def torch_adam(
     }
     places = tuple(torch.tensor(place) for place in problem.places)
     samples = dataclasses.replace(problem, **arrays, places=places)
+    # Index of log f.
     (f,) = problem.places[MAP_PARAMETERS.index("shininess")]
 
     def upper_tail(z: Any) -> Any:

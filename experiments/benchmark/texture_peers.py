@@ -296,7 +296,7 @@ def _blinn(mi: Any, dr: Any) -> Callable[[Any], Any]:
             self.m_components, self.m_flags = [flags], flags
 
         def traverse(self, callback: Any) -> None:
-            """Tell Mitsuba the names of the differentiable parameters."""
+            """Register the differentiable parameters with Mitsuba's traversal."""
             for name in ("diffuse", "specular", "log_shininess"):
                 value = getattr(self, name)
                 callback.put(name, value, mi.ParamFlags.Differentiable)

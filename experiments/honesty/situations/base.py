@@ -105,13 +105,13 @@ def fits(
     - `subject`: the true scenes and material, or a function that makes them with a
         draw's generator.
     - `photograph`: adds a camera's noise and rounding to light of shape (H, W, 3).
-    - `fitted`: the scenes that `pf.fit` is given; default the true ones.
+    - `fitted`: the scenes that `pf.fit` is given; `None`: the true ones.
     - `options`: arguments of `pf.fit`, the same in all draws.
     - `draw_options`: further ones, made in each draw from the light of scene 0.
     - `other_truths`: true values, by label, of unknowns that are neither in the scenes
         nor in the material, such as `"exposure[1]"`.
 
-    **Returns:** from draws to their `Answers`: estimates, errors and truths.
+    **Returns:** a function from draws to their `Answers`: estimates, errors and truths.
     """
 
     def trials(draws: Draws) -> Iterator[Trial]:

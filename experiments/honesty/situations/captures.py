@@ -50,7 +50,7 @@ class Answer(NamedTuple):
 
 
 def situations() -> list[Situation]:
-    """All situations of this module."""
+    """All situations with captures."""
     bounds = {"shininess": (15.0, 1000.0)}
     # Each draw fits a whole map.
     few_draws: Any = {"draw_fraction": 0.04}
@@ -134,12 +134,12 @@ def per_draw(
     """
 
     def answers(draws: Draws) -> Answers:
-        answers: list[DrawAnswer | str] = []
+        joined: list[DrawAnswer | str] = []
         for rng in draws:
             try:
                 result = answer(rng)
             except ValueError as error:
-                answers.append(f"{REFUSED}{error}")
+                joined.append(f"{REFUSED}{error}")
                 continue
             truth, estimate, error, at_bound = (
                 np.broadcast_to(np.asarray(one, float), len(labels))
@@ -150,15 +150,15 @@ def per_draw(
                     result.at_bound,
                 )
             )
-            low, high = estimate + 1.96 * error * [[-1.0], [1.0]]
+            low, high = estimate - 1.96 * error, estimate + 1.96 * error
             bound = at_bound.astype(bool)
-            answers.append(
+            joined.append(
                 DrawAnswer(truth, estimate, error, low, high, bound, result.warnings)
             )
         bounds = [
             (1.0, 1000.0) if label == "shininess" else (0.0, np.inf) for label in labels
         ]
-        return join_draws(labels, np.array(bounds), answers)
+        return join_draws(labels, np.array(bounds), joined)
 
     return answers
 
@@ -306,6 +306,7 @@ def matte_ball_materials(draws: Draws) -> Answers:
         result = maps.materials
         value, error = 0.0, 0.0
         if result is not None:
+            # Material 0, red; all channels share ρ_s.
             value, error = result.specular[0, 0], result.stderr_specular[0, 0]
         return Answer(0.0, value, error, maps.warnings)
 
@@ -340,6 +341,7 @@ def angle_of_view(draws: Draws) -> Answers:
         lights = [pf.DirectionalLight(direction) for direction in DIRECTIONS]
         scenes = [pf.Scene(ball, camera, light) for light in lights]
         rows, columns = np.indices((SIZE, SIZE)) - (SIZE - 1) / 2
+        # These scenes bring the lamps; `fit_fov` replaces their cameras and surfaces.
         result = pf.fit_fov(
             on_plane(ball_scenes()),
             photographs(scenes, SPECULAR, rng),

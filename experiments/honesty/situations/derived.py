@@ -25,7 +25,7 @@ from phongfit.fitting.uncertainty.quantiles import student_reach
 
 
 def situations() -> list[Situation]:
-    """All situations of this module."""
+    """All situations with predicted errors and with profiles."""
     predictions = {
         "predicted errors": (usual_subject(), NOISE),
         "predicted errors at a bound": (

@@ -25,7 +25,7 @@ from experiments.honesty.situations.base import (
 
 
 def situations() -> list[Situation]:
-    """All situations of this module."""
+    """All situations with white samples, bounds, or parameters not identified."""
     return [*white(), *bounds(), *unidentified()]
 
 
@@ -182,7 +182,7 @@ def unidentified() -> list[Situation]:
 
 
 def highlight_hidden(light: Image, rng: np.random.Generator) -> dict[str, Any]:
-    """Options with a mask that leaves out the highlight except for its tail."""
+    """Options with a mask without the highlight, where it exceeds 2 % of its peak."""
     del light, rng
     scene = usual_subject().scenes[0]
     shiny = pf.Material(0.0, 1.0, 20.0, 0.0)

@@ -40,7 +40,7 @@ class Decoded(NamedTuple):
 
 
 def situations() -> list[Situation]:
-    """All situations of this module: each quality and subsampling.
+    """All situations with JPEG files: each quality and subsampling.
 
     Fits are given the file's compression, or only its pixels.
     """

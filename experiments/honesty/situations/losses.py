@@ -20,7 +20,7 @@ from phongfit.fitting.problem.losses import LOSSES
 
 
 def situations() -> list[Situation]:
-    """All situations of this module."""
+    """All situations with losses, clean or with unrelated samples."""
     sharp = usual_subject(usual_material(shininess=600.0, specular=0.5))
     result: list[Situation] = []
     for loss in LOSSES:

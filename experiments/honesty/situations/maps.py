@@ -31,7 +31,7 @@ Degrade = Callable[[Stack, np.random.Generator], tuple[Stack, Mapping[str, Any]]
 
 
 def situations() -> list[Situation]:
-    """All situations of this module."""
+    """All situations with maps."""
     # Maps with a `full_mask` share compiled programs with those with other masks.
     given: Any = {"noise": NOISE}
     right: dict[str, Any] = {
@@ -168,6 +168,7 @@ def bright_red(rng: np.random.Generator, size: tuple[int, int]) -> pf.Material:
     """Random materials whose red channel exceeds white under some of the lamps."""
     usual = random_material(rng, size)
     diffuse, specular = np.array(usual.diffuse), np.array(usual.specular)
+    # Channel 0 is red.
     diffuse[..., 0] = rng.uniform(0.6, 0.9, size)
     specular[..., 0] = rng.uniform(0.3, 0.6, size)
     return dataclasses.replace(
@@ -230,9 +231,9 @@ def outliers(
     images: Stack, rng: np.random.Generator
 ) -> tuple[Stack, Mapping[str, Any]]:
     """Replace a tenth of the samples by random numbers in [0, 1)."""
-    anything = rng.random(images.shape).astype(images.dtype)
-    spoilt = np.where(rng.random(images.shape) < 0.1, anything, images)
-    return spoilt, {"mask": np.ones(images.shape[1:], bool)}
+    random_values = rng.random(images.shape).astype(images.dtype)
+    images = np.where(rng.random(images.shape) < 0.1, random_values, images)
+    return images, {"mask": np.ones(images.shape[1:], bool)}
 
 
 def answers_of_maps(fitted: pf.Maps, truth: pf.Material) -> Answers:

@@ -28,7 +28,7 @@ PARAMETERS = ("ambient", "diffuse", "specular", "shininess")
 
 
 def situations() -> list[Situation]:
-    """All situations of this module."""
+    """All situations with a right model."""
     spot = pf.SpotLight((2, 2, 3), (-2, -2, -3), 0.9, cutoff=40, exponent=2)
     subjects: dict[str, Subject | Draw] = {
         "one lamp": usual_subject(),
@@ -108,8 +108,9 @@ def mesh_ball(shading: pf.geometry.AbstractShading) -> Draw:
 def three_materials() -> Subject:
     """A ball of triangles with three bands of different materials."""
     whole = unit_ball(24)
-    heights = np.asarray(whole.vertices)[np.asarray(whole.faces)].mean(axis=1)[:, 1]
-    bands = np.digitize(heights, (-0.3, 0.35))
+    centroids = np.asarray(whole.vertices)[np.asarray(whole.faces)].mean(axis=1)
+    # By height (y) above the ball's centre, whose radius is 1.
+    bands = np.digitize(centroids[:, 1], (-0.3, 0.35))
     surface = pf.Mesh(whole.vertices, whole.faces, whole.normals, bands)
     materials = stack_materials(
         [

@@ -25,7 +25,7 @@ SHOT, READ = 4e-4, 0.003
 
 
 def situations() -> list[Situation]:
-    """All situations of this module."""
+    """All situations with kinds of noise, of files, and of masks."""
     right: dict[str, Any] = {
         "noise 0.0001": fits(usual_subject(), noisy(1e-4)),
         "noise 0.05": fits(usual_subject(), noisy(0.05)),

@@ -35,7 +35,7 @@ TURN_LABELS = tuple(f"scene.camera.rotation.{axis}" for axis in "xyz")
 
 
 def situations() -> list[Situation]:
-    """All situations of this module."""
+    """All situations with unknowns of scenes, with ties, and with priors."""
     return [*scene_unknowns(), *ties_and_priors()]
 
 
@@ -230,8 +230,8 @@ def turned_camera(degrees: Sequence[float]) -> pf.OrthographicCamera:
 
     **Arguments:** `degrees`: rotation vector in the world's axes.
     """
-    turn = Rotation.from_rotvec(degrees, degrees=True).as_matrix()
-    return pf.OrthographicCamera(SMALL, SMALL, rotation=turn)
+    rotation = Rotation.from_rotvec(degrees, degrees=True).as_matrix()
+    return pf.OrthographicCamera(SMALL, SMALL, rotation=rotation)
 
 
 def central_mask(light: Image, rng: np.random.Generator) -> Mapping[str, Any]:
@@ -264,11 +264,11 @@ def bulbs(x: float) -> tuple[pf.PointLight, pf.PointLight]:
 
 def mirrored() -> dict[str, Any]:
     """Ties that mirror the second bulb's position: x is −1 times that of the first."""
-    one, other = ("scene.lights[0].position", "scene.lights[1].position")
+    first, second = "scene.lights[0].position", "scene.lights[1].position"
     return {
-        f"{other}.x": (-1.0, f"{one}.x"),
-        f"{other}.y": f"{one}.y",
-        f"{other}.z": f"{one}.z",
+        f"{second}.x": (-1.0, f"{first}.x"),
+        f"{second}.y": f"{first}.y",
+        f"{second}.z": f"{first}.z",
     }
 
 

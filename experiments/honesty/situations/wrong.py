@@ -35,7 +35,7 @@ REQUIRED_WARNINGS = {
 
 
 def situations() -> list[Situation]:
-    """All situations of this module."""
+    """All situations with a wrong model."""
     cases: dict[str, Callable[[Draws], Answers]] = {
         "f held at 66 for 60": wrong_exponent(ball_scene(size=LARGE)),
         "the same, four images": wrong_exponent(*four_balls(size=LARGE)),
@@ -86,6 +86,7 @@ def lamp_left_out(
     **Arguments:** `fraction`: intensity of the second lamp over that of the first;
     `noise`: standard deviation.
     """
+    # 0.6 is the usual lamp's intensity.
     both = ball_scene(lamp(), lamp((-1, -0.4, 1), 0.6 * fraction), size=size)
     return fits(
         usual_subject(MATERIAL, both), noisy(noise), fitted=ball_scene(size=size)
