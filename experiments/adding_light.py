@@ -78,6 +78,7 @@ def measure(size: int) -> Result:
     """Measure everything on pictures of `size` × `size` pixels."""
     together = light(ball(size, lamps()), GREY)
     alone = [light(ball(size, [lamp]), GREY) for lamp in lamps()]
+    # As a screen shows them: first the picture under all lamps, then those under one.
     shown = [encode(np.clip(image, 0, 1), "srgb") for image in (together, *alone)]
     added = decode(np.clip(sum(shown[1:]), 0, 1), "srgb")
     seen = np.asarray(ball(size, []).trace().mask)
@@ -87,7 +88,9 @@ def measure(size: int) -> Result:
     for intensity in INTENSITIES:
         scene = under_white_lamp(size, intensity)
         clipped.append(np.mean(light(scene, ORANGE)[seen] >= 1))
+        # Without a highlight all channels are largest at the same spot.
         spot = np.clip(light(scene, matte).max(axis=(0, 1)), 0, 1)
+        # `rgb_to_hsv` returns the hue first, as a fraction of a turn.
         hue.append(360 * colorsys.rgb_to_hsv(*spot)[0])
     return Result(
         float(np.abs(sum(alone) - together).max()),

@@ -219,12 +219,11 @@ def read(folder: Path) -> Split:
     if (folder / "Dome").is_dir() and (folder / "Test").is_dir():
         parts = read_photographs(folder / "Dome"), read_photographs(folder / "Test")
         return Split(folder.name, *parts, "srgb")
-    every = read_photographs(folder)
-    is_left_out = np.zeros(len(every.directions), bool)
+    whole = read_photographs(folder)
+    is_left_out = np.zeros(len(whole.directions), bool)
     is_left_out[3::6] = True
-    return Split(
-        folder.name, _select(every, ~is_left_out), _select(every, is_left_out), "srgb"
-    )
+    parts = _select(whole, ~is_left_out), _select(whole, is_left_out)
+    return Split(folder.name, *parts, "srgb")
 
 
 def _select(photographs: LitPhotographs, which: Any) -> LitPhotographs:

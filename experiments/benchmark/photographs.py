@@ -96,6 +96,7 @@ def _light(
     inside = x**2 + y**2 < 1
     normals = np.stack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 0))], axis=-1)
     lit, logarithm = cosines(normals, direction)
+    # ρ_d is `paint`, ρ_a 0.4 times that, ρ_s 0.2, and f varies from 10 to 30.
     paint = np.stack([0.35 + 0.1 * np.sin(k * 5 * x + y) for k in (1, 2, 3)], axis=-1)
     lobe = np.where(lit > 0, np.exp((20 + 10 * np.sin(4 * y)) * logarithm), 0)
     light = AMBIENT * 0.4 * paint + lit[..., None] * paint + 0.2 * lobe[..., None]

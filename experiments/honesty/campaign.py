@@ -126,7 +126,7 @@ class OtherPrecision:
     def __enter__(self) -> "OtherPrecision":
         return self
 
-    def __exit__(self, *what: object) -> None:
+    def __exit__(self, *exception: object) -> None:
         # Interrupting this process also ends the other one.
         if self._process.poll() is None:
             self._process.kill()
