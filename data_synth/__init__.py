@@ -1,4 +1,4 @@
-"""Data sets with known truth: made-up photographs to fit."""
+"""Data sets with known truth: synthetic photographs to fit."""
 
 from data_synth.dataset import make_dataset as make_dataset
 from data_synth.lights import make_lights as make_lights

@@ -31,11 +31,14 @@ from phongfit.rendering.film import NamedEncoding
 Numbers = tuple[float, ...]
 
 PLASTIC = Material((0.6, 0.3, 0.2), 0.3, 60.0, (0.5, 0.25, 0.15))
+"""The default material: diffuse, specular, shininess, ambient."""
 
 MAX_RESOLUTION = 8192
+"""Largest width and height of the images, pixels."""
 
 
 def _shown(metavar: str, default: str) -> Any:
+    """Help of an option: the words for its value, and for its default."""
     return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})")
 
 
@@ -162,12 +165,20 @@ def make(options: Options) -> Dataset:
 
 
 def _number(name: str, values: Numbers) -> float | Numbers:
+    """The values of option `name`: a number if there is one, RGB if there are three.
+
+    **Raises:** `ValueError` for any other count.
+    """
     if len(values) not in (1, 3):
         raise ValueError(f"{name}: expected 1 or 3 numbers, got {len(values)}")
     return values[0] if len(values) == 1 else values
 
 
 def _material(options: Options) -> Material:
+    """The named material, with the parameters that are given as options replaced.
+
+    **Raises:** `ValueError` for an unknown name or preset, or a wrong count of numbers.
+    """
     kind, _, name = options.material.partition(":")
     if kind not in ("plastic", "preset") or (kind == "plastic" and name):
         raise ValueError(
@@ -186,6 +197,7 @@ def _material(options: Options) -> Material:
 
 
 def _lights(options: Options, intensity: float | Numbers) -> tuple[AbstractLight, ...]:
+    """The lights around the ball; each brings `intensity` to the ball's centre."""
     return make_lights(
         options.lights,
         options.light_kind,
@@ -196,12 +208,13 @@ def _lights(options: Options, intensity: float | Numbers) -> tuple[AbstractLight
 
 
 def _camera(options: Options) -> AbstractCamera:
-    """The camera, whose image the ball fills to ten elevenths of the height."""
+    """A camera at +z from the ball, whose diameter is 10/11 of the image's height."""
     x, y, z = options.center
     size, position = options.resolution, (x, y, z + 5 * options.radius)
     if options.camera == "orthographic":
         view = 2.2 * options.radius
         return OrthographicCamera(size, size, view_height=view, position=position)
+    # From a distance of 5 radii, the ball's outline is asin(1 / 5) off the axis.
     fov = 1.1 * 2 * math.degrees(math.asin(1 / 5))
     return PerspectiveCamera(size, size, fov_y=fov, position=position)
 

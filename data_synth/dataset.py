@@ -1,4 +1,4 @@
-"""Made-up photographs of a known material."""
+"""Synthetic photographs of a known material."""
 
 import dataclasses
 from collections.abc import Iterable
@@ -40,25 +40,27 @@ def make_dataset(
     encoding: Encoding = "srgb",
     name: str = "synthetic",
 ) -> Dataset:
-    """Photographs of `material` with noise, as read from a file.
+    """Synthetic photographs of `material` with noise, as if read from image files.
 
     **Arguments:**
 
-    - `material`: the truth.
-    - `key`: of the noise.
+    - `material`: the true material, which all images show.
+    - `key`: JAX's random key for the noise.
     - `surface`, `camera`: default a ball of radius 1 that fills 256 × 256 pixels.
-    - `lights`: default four directional ones, as bright as they may be without
-        clipping.
-    - `images`: number of images, among which the lights are distributed one by one. 1
-        has all lights in one image; the default is an image for each light.
+    - `lights`: default four directional ones of equal intensity, so bright that the
+        brightest sample is 95 % of white.
+    - `images`: number of images, 1 to the number of lights, among which the lights are
+        distributed: image k of n has the lights k, k + n, k + 2n, … `None`: one image
+        for each light.
     - `ambient`: the ambient light I_a, RGB or one number.
-    - `specular_model`: model of the highlight, default Blinn-Phong.
+    - `specular_model`: model of the highlight; `None` is Blinn-Phong.
     - `noise`: standard deviation of Gaussian noise in linear light, where white is 1;
-        added before anything is cut off or rounded.
-    - `bits`, `encoding`: of the images' numbers; without `bits` they are not rounded.
-    - `name`: of the data set.
+        added before light is clipped to [0, 1] and rounded.
+    - `bits`, `encoding`: of the images' numbers. `bits=None`: they are not rounded.
+    - `name`: name of the data set.
 
-    **Returns:** a data set with linear images and `truth`.
+    **Returns:** a data set whose images are linear light in [0, 1], with `material` as
+    its `truth`.
 
     **Raises:** `ValueError` that names the argument.
     """
@@ -97,9 +99,14 @@ def make_dataset(
 def distribute_lights(
     scene: Scene, lights: tuple[AbstractLight, ...], images: int | None
 ) -> tuple[Scene, ...]:
-    """A copy of `scene` for each image, and every n-th light in each of n images.
+    """Copies of `scene`, one for each image, among which the lights are distributed.
 
-    **Raises:** `ValueError` if an image would have none.
+    **Arguments:**
+
+    - `lights`: replace those of `scene`. Image k of n gets the lights k, k + n, …
+    - `images`: number of images n; `None`: one for each light.
+
+    **Raises:** `ValueError` if there are more images than lights, or no images.
     """
     count = len(lights) if images is None else images
     if not 1 <= count <= len(lights):
@@ -120,6 +127,11 @@ def _photograph(
     noise: float,
     key: PRNGKeyArray,
 ) -> Float[np.ndarray, "height width 3"]:
+    """The rendered scene with Gaussian noise, as [`develop`][] returns it.
+
+    **Arguments:** `gbuffer`: the traced scene; `noise`: standard deviation in linear
+    light.
+    """
     light = render(scene, material, film=Film(clamp=False), gbuffer=gbuffer)
     return develop(light + noise * jax.random.normal(key, light.shape), film)
 
@@ -127,7 +139,11 @@ def _photograph(
 def develop(
     light: Float[Array, "height width 3"], film: Film
 ) -> Float[np.ndarray, "height width 3"]:
-    """Linear light after it was stored in a file with this film, and read back."""
+    """Linear light after storage in an image file with this film: clipped and rounded.
+
+    Light is clipped to [0, 1], encoded, rounded to `film.bits` and decoded. Where
+    `film.bits` is `None`, it is only clipped.
+    """
     if film.bits is None:
         return np.clip(np.asarray(light), 0, 1)
     return from_levels(to_levels(light, film.encoding, film.bits), film.encoding)

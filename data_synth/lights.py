@@ -1,4 +1,7 @@
-"""Lights that make a fit well posed: all around the camera, none behind the object."""
+"""Lights spread around the camera, under which a fit identifies the whole material.
+
+In world axes the camera stands at +z of the object and looks along −z.
+"""
 
 from typing import Any, Literal
 
@@ -21,17 +24,17 @@ from phongfit.geometry import trace
 LightKind = Literal["directional", "point", "spot", "mixed"]
 
 WIDEST = np.deg2rad(60)
-"""Largest angle of a light from the camera's axis, radians, so that highlights show."""
+"""Largest angle between a light and +z, radians, so that the camera sees highlights."""
 
 DISTANCE = 4.0
 """Distance of point and spot lights from the object's centre, in its radii."""
 
 PEAK = 0.95
-"""Value of the brightest sample without noise: nothing is clipped."""
+"""Value of the brightest sample before noise, where white is 1: nothing is clipped."""
 
 
 def spread_directions(count: int) -> Float[np.ndarray, "count 3"]:
-    """Unit vectors, spread evenly over the directions within `WIDEST` of +z.
+    """Unit vectors, spread evenly over the directions within 60° (`WIDEST`) of +z.
 
     ??? cite "Source"
         Swinbank and Purser, *Fibonacci grids: a novel approach to global modelling*,
@@ -40,9 +43,9 @@ def spread_directions(count: int) -> Float[np.ndarray, "count 3"]:
     steps = np.arange(count)
     z = 1 - (steps + 0.5) / count * (1 - np.cos(WIDEST))
     # The first direction is at the upper right, as is usual for a single lamp.
-    turn = np.pi / 4 + steps * np.pi * (3 - np.sqrt(5))
+    azimuth = np.pi / 4 + steps * np.pi * (3 - np.sqrt(5))
     across = np.sqrt(1 - z**2)
-    return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)
+    return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), z], axis=1)
 
 
 def make_lights(
@@ -57,19 +60,22 @@ def make_lights(
 
     **Arguments:**
 
-    - `count`: how many, ≥ 1.
+    - `count`: number of lights, ≥ 1.
     - `kind`: `"mixed"` cycles through directional, point and spot.
-    - `intensity`: RGB or one number, what arrives at the object's centre.
-    - `center`, `radius`: of the object, world units.
+    - `intensity`: light that arrives at the object's centre from each of them, RGB or
+        one number.
+    - `center`, `radius`: of the object, world units. Point and spot lights stand 4
+        radii from the centre, and spots point to it.
 
     **Raises:** `ValueError` that names the argument.
     """
     if count < 1:
         raise ValueError(f"lights: expected at least 1, got {count}")
     makers = {"directional": _directional, "point": _point, "spot": _spot}
-    turns = tuple(makers) if kind == "mixed" else (kind,)
+    kinds = tuple(makers) if kind == "mixed" else (kind,)
+    # Four digits are short to read in a file; lights scale directions to unit length.
     return tuple(
-        makers[turns[index % len(turns)]](
+        makers[kinds[index % len(kinds)]](
             direction, intensity, np.asarray(center), radius
         )
         for index, direction in enumerate(spread_directions(count).round(4))
@@ -79,6 +85,7 @@ def make_lights(
 def _directional(
     direction: np.ndarray, intensity: Any, center: np.ndarray, radius: float
 ) -> AbstractLight:
+    """A directional light; all makers take the same arguments."""
     del center, radius
     return DirectionalLight(direction, intensity)
 
@@ -86,6 +93,7 @@ def _directional(
 def _point(
     direction: np.ndarray, intensity: Any, center: np.ndarray, radius: float
 ) -> AbstractLight:
+    """A point light 4 radii from `center`, where `intensity` arrives."""
     distance = DISTANCE * radius
     # The inverse-square law, with 1 at the object's centre.
     return PointLight(
@@ -96,9 +104,11 @@ def _point(
 def _spot(
     direction: np.ndarray, intensity: Any, center: np.ndarray, radius: float
 ) -> AbstractLight:
+    """A spot 4 radii from `center`: it points there, and there `intensity` arrives."""
     distance = DISTANCE * radius
-    # The cone is wider than the object (14.5°): a pixel on a hard edge would depend on
-    # the last digit. The exponent halves the light towards the object's rim.
+    # The object's rim is 14.5° off the cone's axis, so the cone's hard edge misses it:
+    # at an edge, pixels would depend on rounding errors. At the rim the exponent leaves
+    # half of the light.
     return SpotLight(
         center + distance * direction,
         -direction,
@@ -110,9 +120,15 @@ def _spot(
 
 
 def brightest_intensity(scenes: tuple[Scene, ...], material: Material) -> float:
-    """Factor on all lights that makes the brightest sample `PEAK`.
+    """Factor on the lights of all scenes that makes the brightest sample 0.95 (`PEAK`).
 
-    **Raises:** `ValueError` if ambient light and emission alone are brighter.
+    **Arguments:** `scenes`: of one surface and one camera.
+
+    **Returns:** the factor, rounded down to three digits; 1 if no light reaches any
+    pixel.
+
+    **Raises:** `ValueError` if a sample that lights reach is as bright as that by
+    ambient light and emission alone.
     """
     gbuffer = trace(scenes[0].surface, scenes[0].camera)
     film = Film(clamp=False)

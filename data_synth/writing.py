@@ -1,4 +1,4 @@
-"""A data set as a folder that a person can look into."""
+"""Writing a data set into a folder: PNG or TIFF images, JSON, and a contact sheet."""
 
 import dataclasses
 import os
@@ -20,7 +20,7 @@ OURS = re.compile(
     rf"\d{{3,}}(_mask)?\.(png|tif)|scene_\w+\.(npy|png)"
     rf"|{re.escape(SCENE_FILE)}|{re.escape(TRUTH_FILE)}|{re.escape(SHEET_FILE)}"
 )
-"""Names of a data set's files: a folder with other files is not overwritten."""
+"""Names that [`write_dataset`][] gives to files: those that it may replace."""
 
 
 def write_dataset(
@@ -35,10 +35,13 @@ def write_dataset(
 
     **Arguments:**
 
-    - `dataset`: of one surface, camera and ambient light.
+    - `dataset`: of one surface, camera, ambient light and film: those of its first
+        image are written.
     - `out_dir`: the folder to make, with its parents. If it exists it must be empty.
-    - `noise`, `seed`: what the images were made with, for `truth.json`.
-    - `overwrite`: an older data set at `out_dir` may be replaced, but nothing else.
+    - `noise`, `seed`: what the images were made with, for `truth.json` and the sheet;
+        `None` if not known.
+    - `overwrite`: replace an older data set in `out_dir`. A folder with any other file
+        is refused nevertheless.
 
     **Raises:** `OSError` if the folder cannot be written, `ValueError` for a data set
     that the files cannot hold.
@@ -54,10 +57,15 @@ def write_dataset(
 
 
 def _is_ours(name: str) -> bool:
+    """Whether a file in the folder has a name that [`write_dataset`][] gives."""
     return OURS.fullmatch(name) is not None
 
 
 def _write_images(folder: Path, dataset: Dataset) -> list[ImageRecord]:
+    """Write images and masks; returns each image's file, lights and mask.
+
+    A mask that is true everywhere is not written.
+    """
     lights = _all_lights(dataset.scenes)
     film, entries = dataset.films[0], []
     for scene, image, mask, name in zip(
@@ -74,6 +82,7 @@ def _write_images(folder: Path, dataset: Dataset) -> list[ImageRecord]:
 
 
 def _file_bits(bits: int | None) -> Bits:
+    """Bits of a file's samples: 8 or 16, or 32 (floats) for images not rounded."""
     match bits:
         case None:
             return 32
@@ -83,7 +92,10 @@ def _file_bits(bits: int | None) -> Bits:
 
 
 def _all_lights(scenes: Sequence[Scene]) -> list[AbstractLight]:
-    """Each light of a series once, in the order in which they come up."""
+    """Each light of the scenes once, in order of first use.
+
+    Lights are compared by identity: two with equal values are two lights.
+    """
     lights: list[AbstractLight] = []
     for scene in scenes:
         for light in scene.lights:
@@ -93,9 +105,10 @@ def _all_lights(scenes: Sequence[Scene]) -> list[AbstractLight]:
 
 
 def _index(lights: Sequence[AbstractLight], light: AbstractLight) -> int:
+    """Position of this very light in the list."""
     return next(index for index, known in enumerate(lights) if known is light)
 
 
 def _whole_scene(scenes: Sequence[Scene]) -> Scene:
-    """The scene with every light that is on in one of `scenes`."""
+    """The first of `scenes`, with the lights of all of them."""
     return dataclasses.replace(scenes[0], lights=_all_lights(scenes))

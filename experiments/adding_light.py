@@ -21,7 +21,11 @@ LAMPS = {
     "green": ((0.0, -1.2, 1.0), (0.05, 0.8, 0.05)),
     "blue": ((1.2, 0.7, 1.0), (0.05, 0.1, 0.95)),
 }
+"""Direction to each lamp (z to the camera), and its RGB intensity."""
+
 INTENSITIES = (0.5, 1.0, 2.0, 4.0)
+"""Intensities of the white lamp; at 1, a matte white surface facing it is white."""
+
 GREY = pf.Material(0.85, 0.4, 40.0, 0.0)
 ORANGE = pf.Material((0.8, 0.35, 0.08), 0.3, 25.0, 0.0)
 UNCLAMPED = pf.Film(clamp=False)
@@ -29,13 +33,15 @@ UNCLAMPED = pf.Film(clamp=False)
 
 @dataclasses.dataclass(frozen=True)
 class Result:
-    """Differences between sums of pictures and pictures of sums.
+    """Sums of pictures against pictures of summed light, and effects of the clamp.
 
     - `sum_error`: largest difference, in units of white, between the picture under all
         lamps and the sum of the pictures under each;
-    - `shown_error`: that difference if clamped, sRGB-encoded pictures are added;
-    - `clipped`: share of the ball's samples at white, for each of `INTENSITIES`;
-    - `hue`: of the brightest matte spot, degrees on the colour circle.
+    - `shown_error`: that difference if clamped, sRGB-encoded pictures are added and
+        the sum is decoded;
+    - `clipped`: fraction of the ball's samples at white, for each of `INTENSITIES`;
+    - `hue`: hue of the brightest spot without highlight, for each of `INTENSITIES`, in
+        degrees: 0 is red, 60 yellow, 120 green.
     """
 
     sum_error: float
@@ -47,7 +53,7 @@ class Result:
 def ball(
     size: int, lights: list[pf.DirectionalLight], background: float = 0.0
 ) -> pf.Scene:
-    """A ball under some lamps."""
+    """A ball under `lights`, in `size` × `size` pixels."""
     camera = pf.OrthographicCamera(size, size, view_height=2.05)
     return pf.Scene(pf.Sphere(), camera, lights, background=background)
 
@@ -58,12 +64,12 @@ def lamps() -> list[pf.DirectionalLight]:
 
 
 def light(scene: pf.Scene, material: pf.Material) -> np.ndarray:
-    """Linear light of an image, before the clamp."""
+    """Linear light of an image, (H, W, 3), not clamped at white."""
     return np.asarray(pf.render(scene, material, film=UNCLAMPED), float)
 
 
 def under_white_lamp(size: int, intensity: float, background: float = 0.0) -> pf.Scene:
-    """The ball under one white lamp of any intensity."""
+    """A ball under one white lamp of this intensity, to the upper left."""
     lamp = pf.DirectionalLight((-0.6, 0.6, 1.0), intensity)
     return ball(size, [lamp], background)
 
@@ -72,15 +78,19 @@ def measure(size: int) -> Result:
     """Measure everything on pictures of `size` × `size` pixels."""
     together = light(ball(size, lamps()), GREY)
     alone = [light(ball(size, [lamp]), GREY) for lamp in lamps()]
+    # As a screen shows them: first the picture under all lamps, then those under one.
     shown = [encode(np.clip(image, 0, 1), "srgb") for image in (together, *alone)]
     added = decode(np.clip(sum(shown[1:]), 0, 1), "srgb")
     seen = np.asarray(ball(size, []).trace().mask)
     clipped, hue = [], []
+    # The emission of GREY is an array of zeros.
     matte = dataclasses.replace(ORANGE, specular=GREY.emission)
     for intensity in INTENSITIES:
         scene = under_white_lamp(size, intensity)
         clipped.append(np.mean(light(scene, ORANGE)[seen] >= 1))
+        # Without a highlight all channels are largest at the same spot.
         spot = np.clip(light(scene, matte).max(axis=(0, 1)), 0, 1)
+        # `rgb_to_hsv` returns the hue first, as a fraction of a turn.
         hue.append(360 * colorsys.rgb_to_hsv(*spot)[0])
     return Result(
         float(np.abs(sum(alone) - together).max()),
@@ -92,7 +102,10 @@ def measure(size: int) -> Result:
 
 @style.styled
 def draw(size: int) -> Figure:
-    """Draw pictures under several lamps above, and under too bright lamps below."""
+    """Draw pictures under several lamps above, and under too bright lamps below.
+
+    **Arguments:** `size`: width and height of each picture, pixels.
+    """
     figure = style.page(6.6)
     top, middle, bottom = style.bands(figure, 2.0, 2.0, 2.4)
     sets = [[lamp] for lamp in lamps()] + [lamps()]
@@ -135,7 +148,7 @@ def draw(size: int) -> Figure:
 
 
 def find(small: bool) -> Finding:
-    """Measure, draw and answer."""
+    """Run the experiment: measure, draw and answer; `small`: quick and coarse."""
     size = 64 if small else 256
     result = measure(size)
     answer = (

@@ -1,8 +1,8 @@
-"""`python -m experiments.all OUT`: every experiment, on one page.
+"""`python -m experiments.all OUT`: run every experiment, and put all on one page.
 
 OUT becomes a folder with `contents.html`, which shows each experiment's question, its
 answer and its figure, and beside it the figures (NAME.png, NAME.gif) and the numbers
-(NAME.json). The exit status is 1 if something that should hold does not.
+(NAME.json). The exit status is 1 if a check fails.
 """
 
 import re
@@ -44,15 +44,17 @@ EXPERIMENTS = tuple(
         wrong_model,
     )
 )
+# Name of the page in the folder.
 PAGE = "contents.html"
 TEMPLATE = Path(__file__).with_name("contents.html.jinja")
 FILES = {PAGE} | {
     f"{one.name}.{suffix}" for one in EXPERIMENTS for suffix in ("png", "gif", "json")
 }
+"""Names of the files in the folder: an older run's may be replaced, no others."""
 
 
 class Entry(NamedTuple):
-    """One experiment as it stands on the page."""
+    """One experiment on the page: with its finding, and the seconds that it took."""
 
     experiment: Experiment
     finding: Finding
@@ -60,7 +62,7 @@ class Entry(NamedTuple):
 
 
 def save(folder: Path, entry: Entry) -> None:
-    """Write the files of one experiment."""
+    """Write the figure, animation (if there is one) and numbers of one experiment."""
     name, finding = entry.experiment.name, entry.finding
     finding.figure.savefig(folder / f"{name}.png")
     if finding.frames is not None:
@@ -69,7 +71,11 @@ def save(folder: Path, entry: Entry) -> None:
 
 
 def contents(entries: list[Entry], small: bool) -> str:
-    """HTML of the page; its links lead to files in the same folder."""
+    """HTML of the page; its links lead to files in the same folder.
+
+    **Arguments:** `small`: whether the experiments were run quick and coarse, for a
+    note.
+    """
     environment = jinja2.Environment(
         autoescape=True,
         undefined=jinja2.StrictUndefined,
@@ -93,7 +99,7 @@ def main(
 ) -> int:
     """Make every experiment, and a page of contents with all figures and answers.
 
-    Exit status 1 if something that should hold does not.
+    Exit status 1 if a check fails.
 
     Args:
         out: Folder to make; one that was made like this is replaced.

@@ -27,7 +27,13 @@ SHOWN = (2, 5, 8, 11)
 
 
 def run_page(folder: Path) -> dict[str, Any]:
-    """Run the page's code in a folder, and return the names that its Python defines."""
+    """Run the page's code in a folder, and return the names that its Python defines.
+
+    Of shell commands, `cp` copies a folder of the repository, and `phongfit` runs in
+    this process.
+
+    **Raises:** `ValueError` if a command fails, and what the page's Python raises.
+    """
     names: dict[str, Any] = {}
     with contextlib.chdir(folder):
         for language, code in BLOCK.findall(PAGE.read_text(encoding="utf-8")):
@@ -36,6 +42,7 @@ def run_page(folder: Path) -> dict[str, Any]:
                 continue
             commands = code.replace("\\\n", " ").splitlines()
             for program, *words in map(shlex.split, commands):
+                # The page has "cp -r SOURCE TARGET".
                 if program == "cp":
                     shutil.copytree(ROOT / words[1], words[2])
                 elif cli.main(words) != 0:
@@ -44,8 +51,14 @@ def run_page(folder: Path) -> dict[str, Any]:
 
 
 def photographs(folder: Path) -> Image.Image:
-    """A picture of some photographs, the ball above the cat, bright for a screen."""
+    """A picture of some photographs: a row of the chrome ball above a row of the cat.
+
+    Brightened so that 99.9 % of the pixels are below white.
+
+    **Arguments:** `folder`: with folders `chrome` and `cat` of photographs.
+    """
     rows = []
+    # The ball's files are shown as they are; the cat's are linear, so they are encoded.
     for name, gamma in (("chrome", 1.0), ("cat", 2.2)):
         files = [folder / name / f"{number:02d}.png" for number in SHOWN]
         shown = [np.asarray(Image.open(file)) / 255 for file in files]

@@ -37,13 +37,18 @@ from phongfit.maps.blocks import Place, fit_block
 
 LIGHTS = 24
 SIDE, SMALL = 384, 192
-"""Pixels of a shard's side: 24 images of 384² are 42 MB of light."""
+"""Pixels along a shard's side, and with `--small`.
+
+A shard is the part of a zarr array that is written as a whole: here a square of all
+images. 24 images of 384² pixels are 42 MB as float32.
+"""
 
 NOISE = 0.005
+"""Standard deviation of the images' noise, where white is 1."""
 
 
 def scenes(height: int, width: int) -> tuple[pf.Scene, ...]:
-    """A ball that fills the image, under 24 lamps."""
+    """Scenes of a ball that fills the image, one for each of 24 lamps."""
     camera = pf.OrthographicCamera(width, height, view_height=0.9)
     return tuple(
         pf.Scene(pf.Sphere(), camera, pf.DirectionalLight(direction))
@@ -52,9 +57,14 @@ def scenes(height: int, width: int) -> tuple[pf.Scene, ...]:
 
 
 def make_shard(path: str, number: int) -> None:
-    """Render one shard of a stack: materials differ from pixel to pixel."""
+    """Render one shard of a stack; every pixel has a random material.
+
+    **Arguments:** `path`: the zarr group; `number`: of the shard, row by row from the
+    upper left.
+    """
     array: Any = writable(open_group(path, "r+"), "images")
     _, height, width, _ = array.shape
+    # The array's chunks, of shape (lights, side, side, 3), are the shards.
     side = array.chunks[1]
     columns = width // side
     top, left = side * (number // columns), side * (number % columns)
@@ -84,30 +94,38 @@ def make_shard(path: str, number: int) -> None:
 
 
 def make_stack(client: Any, folder: Path, rows: int, columns: int, side: int) -> Path:
-    """Create a stack of `rows` × `columns` shards, which the workers render."""
+    """Create a stack of `rows` × `columns` shards, which Dask's workers render.
+
+    **Arguments:** `client`: of the Dask cluster; `side`: pixels along a shard's side.
+
+    **Returns:** path of the stack.
+    """
     path = folder / f"{rows}x{columns}.zarr"
     shape = (LIGHTS, rows * side, columns * side, 3)
     group = open_group(path, "a")
     make_array(group, "images", shape, "uint16", (LIGHTS, side, side, 3))
-    made = client.map(make_shard, [str(path)] * (rows * columns), range(rows * columns))
-    client.gather(made)
+    count = rows * columns
+    client.gather(client.map(make_shard, [str(path)] * count, range(count)))
     return path
 
 
 def count_begun(folder: Path) -> int:
-    """Number of blocks that were begun, including those of workers that died."""
+    """Number of times that a block was begun, also by workers that died.
+
+    **Arguments:** `folder`: with one file for each, from [`counted_block`][].
+    """
     return sum(1 for _ in folder.iterdir())
 
 
 def counted_block(place: Place, number: int) -> Any:
-    """[`fit_block`][], which creates an empty file when it begins."""
+    """Call [`fit_block`][], after creating an empty file that records the beginning."""
     marks = Path(place.output).with_suffix(".begun")
     (marks / f"{number}-{os.getpid()}-{time.monotonic_ns()}").touch()
     return fit_block(place, number)
 
 
 def time_fit(client: Any, stack: Path, output: Path) -> float:
-    """Fit the maps of a stack into `output`, and return the seconds that this took."""
+    """Fit the maps of a stack into the store `output`; returns the seconds it took."""
     images = pf.ZarrStack(stack)
     _, height, width = images.shape
     output.with_suffix(".begun").mkdir()
@@ -127,13 +145,16 @@ def time_fit(client: Any, stack: Path, output: Path) -> float:
 
 @contextlib.contextmanager
 def kill_workers(client: Any, every: float) -> Iterator[list[int]]:
-    """Kill a worker every so many seconds in this context; yields the killed ids."""
+    """Kill a worker every `every` seconds in this context.
+
+    Yields a list of process ids, which grows with every killed worker.
+    """
     killed: list[int] = []
     ended = threading.Event()
 
     def work() -> None:
         while not ended.wait(every):
-            # Among running workers only: killing one that starts loses no work.
+            # Only workers that answer: one that is still starting has no work to lose.
             workers = sorted(client.run(os.getpid, on_error="ignore").values())
             if workers:
                 killed.append(workers[len(killed) % len(workers)])
@@ -160,10 +181,10 @@ def cpu_seconds(client: Any) -> float:
 
 def same_bits(a: Path, b: Path) -> bool:
     """Whether two stores contain the same maps, bit for bit."""
-    one, other = open_group(a), open_group(b)
-    names: Any = one.attrs["arrays"]
-    pairs = ((writable(group, name) for group in (one, other)) for name in names)
-    return all(np.asarray(a).tobytes() == np.asarray(b).tobytes() for a, b in pairs)
+    groups = open_group(a), open_group(b)
+    names: Any = groups[0].attrs["arrays"]
+    pairs = ((writable(group, name) for group in groups) for name in names)
+    return all(np.asarray(x).tobytes() == np.asarray(y).tobytes() for x, y in pairs)
 
 
 def size_of(path: Path) -> int:
@@ -172,7 +193,11 @@ def size_of(path: Path) -> int:
 
 
 def overhead(client: Any, count: int) -> float:
-    """Seconds of scheduling for each block, measured with blocks without work."""
+    """Seconds of scheduling for each block: the time for `count` blocks without work.
+
+    [`empty_block`][] must have taken the place of [`fit_block`][].
+    """
+    # Blocks without work read and write nothing, so they need no paths.
     place = Place("", b"", "")
     start = time.perf_counter()
     done = sum(1 for _ in cluster._spread(client, place, count))
@@ -181,15 +206,18 @@ def overhead(client: Any, count: int) -> float:
 
 
 def empty_block(place: Place, number: int) -> tuple[dict[str, int], bool]:
-    """Takes the place of [`fit_block`][], but does no work: it returns an empty
-    result."""
+    """Do nothing in place of [`fit_block`][].
+
+    **Returns:** as `fit_block` does: counts of the block's pixels, here none, and
+    whether it was fitted.
+    """
     del place, number
     return {}, False
 
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """Options.
+    """Options of the command.
 
     Args:
         small: Less of everything, for a first look.
@@ -227,7 +255,10 @@ def main(options: Options) -> int:
 
 
 def measure(folder: Path, small: bool, every: float) -> dict[str, Any]:
-    """Measure everything that [`show`][] prints."""
+    """Measure everything that [`show`][] prints.
+
+    **Arguments:** `folder`: for the stacks and maps; `every`: seconds between kills.
+    """
     console = Console(stderr=True)
     outputs = (folder / f"maps{k}.zarr" for k in itertools.count())
     grid, side = ((3, 4), SMALL) if small else ((6, 8), SIDE)
@@ -256,7 +287,13 @@ def measure_scaling(
     outputs: Iterator[Path],
     console: Console,
 ) -> tuple[dict[str, Any], Path]:
-    """Time one worker and two on the same stack; returns the numbers and the maps."""
+    """Time one worker and two on the same stack, which is made if it is missing.
+
+    **Arguments:** `grid`: shards along each axis; `side`: pixels along a shard's side;
+    `outputs`: paths for stores of maps, one of which each fit takes.
+
+    **Returns:** the numbers, and the path of the last maps.
+    """
     folder, n_blocks = stack.parent, grid[0] * grid[1]
     shortest: dict[int, tuple[float, float]] = {}
     # Each number is timed twice, and the shorter time counts: other work only adds.
@@ -293,7 +330,11 @@ def measure_scaling(
 def measure_deaths(
     client: Any, stack: Path, expected: Path, output: Path, n_blocks: int, every: float
 ) -> dict[str, Any]:
-    """Fit while workers are killed, and compare with the maps `expected`."""
+    """Fit while workers are killed, and compare the maps with those at `expected`.
+
+    In the result `work` is the number of blocks begun over that of blocks: 1 if no work
+    was lost.
+    """
     with kill_workers(client, every) as killed:
         seconds = time_fit(client, stack, output)
     begun = count_begun(output.with_suffix(".begun"))
@@ -315,7 +356,10 @@ def measure_sizes(
     outputs: Iterator[Path],
     console: Console,
 ) -> list[dict[str, float]]:
-    """Time stacks of several sizes, given as shards along each axis."""
+    """Time stacks of several sizes, given as shards along each axis.
+
+    **Returns:** megapixels, and microseconds a pixel, of each.
+    """
     rows = []
     with cluster.dask_client("local:2") as client:
         warm_up(client, folder, next(outputs), side)

@@ -1,4 +1,4 @@
-"""`python -m experiments.conformance [FOLDER…]`: do others see what phongfit does?
+"""`python -m experiments.conformance [FOLDER…]`: do other renderers agree?
 
 Every scene of the folders (see `experiments.references` for their files; by default
 those that come with the project, 6 by Mesa and 2 by POV-Ray) is rendered and compared
@@ -35,12 +35,26 @@ from phongfit.cli import run
 from phongfit.files.outputs import check_file, write_json
 
 VERTEX_BOUND = 1e-5
+"""Largest difference of light at a vertex, where 1 is white."""
+
 MEDIAN_BOUND = 1e-5
+"""Largest median difference of the pixels."""
+
 SHARE_BOUND = 0.999
+"""Smallest fraction of the pixels within their bound, and of those covered alike."""
 
 
 class Agreement(NamedTuple):
-    """Differences from a reference: of light, where 1 is white, and fractions."""
+    """Differences between phongfit's image and a reference's, where 1 is white.
+
+    - `vertex_colors`: largest difference of light at vertices; `None` if the reference
+        has none;
+    - `median`, `quantile_999`: of the pixels' differences, each the largest of its
+        channels;
+    - `bound`: difference of a pixel that counts as agreement; `within`: fraction of the
+        pixels within it;
+    - `coverage`: fraction of the image that both cover or both leave.
+    """
 
     name: str
     vertex_colors: float | None
@@ -52,7 +66,7 @@ class Agreement(NamedTuple):
 
     @property
     def agrees(self) -> bool:
-        """Whether all differences are within the bounds in the module's head."""
+        """Whether all differences are within the bounds of the module's docstring."""
         return (
             (self.vertex_colors is None or self.vertex_colors <= VERTEX_BOUND)
             and self.median < MEDIAN_BOUND
@@ -61,6 +75,7 @@ class Agreement(NamedTuple):
         )
 
     def line(self, width: int) -> str:
+        """A line of the table, whose first column has `width` letters."""
         vertices = (
             "      –" if self.vertex_colors is None else f"{self.vertex_colors:7.1e}"
         )
@@ -74,7 +89,7 @@ class Agreement(NamedTuple):
 
 
 def head(width: int) -> str:
-    """Column titles for [`Agreement.line`][]."""
+    """Column titles for [`Agreement.line`][] of the same `width`."""
     return (
         f"{'scene':{width}}  {'vertex':>7}  {'median':>7}  {'q 99.9':>7}  "
         f"{'within bound':>19}  {'coverage':>9}"
@@ -82,7 +97,11 @@ def head(width: int) -> str:
 
 
 def compare(reference: Reference) -> Agreement:
-    """Render a reference's scene, and compare the images."""
+    """Render a reference's scene, and compare the images.
+
+    **Raises:** `ValueError` that names the reference, if the images differ in size or
+    no pixel can be compared.
+    """
     scene, material = reference.scene, reference.material
     gbuffer = scene.trace()
     image = pf.render(scene, material, film=reference.film, gbuffer=gbuffer)
@@ -94,7 +113,8 @@ def compare(reference: Reference) -> Agreement:
         )
     mask = np.asarray(gbuffer.mask)
     if reference.vertex_colors is None:
-        # Coverage is known from the reference's image only, so ours is computed alike.
+        # A ray tracer gives no coverage: both are where an image differs from its
+        # background.
         mask = covered_pixels(image, np.asarray(scene.background))
         compared = mask | reference.covered
     else:
@@ -114,9 +134,11 @@ def compare(reference: Reference) -> Agreement:
 
 
 def _vertex_error(reference: Reference, gbuffer: pf.geometry.GBuffer) -> float | None:
+    """Largest difference of light at the vertices; `None` if the reference has none."""
     expected = reference.vertex_colors
     if expected is None:
         return None
+    # With flat and Gouraud shading, `terms` are at vertices, not at pixels.
     light = pf.rendering.combine(pf.terms(reference.scene, gbuffer), reference.material)
     lit = np.asarray(reference.film.expose(light), float)
     return float(abs(lit - expected.colors).max())

@@ -52,10 +52,10 @@ Finding.__init__.__doc__ = """**Arguments:**
 
 - `answer`: a few sentences, with the numbers that were measured.
 - `numbers`: those of the answer and more, for a JSON file.
-- `figure`, and `alt`: what is to be seen in it, for those who cannot see it.
-- `table`: the numbers as rows.
-- `frames`: an animation, linear light.
-- `failed_checks`: what should hold and does not, in words.
+- `figure`; `alt`: a description of it, for readers who cannot see it.
+- `table`: the numbers as rows; `None` if there is no table.
+- `frames`: an animation in linear light; `None` if there is none.
+- `failed_checks`: a sentence for each check that failed.
 """
 
 
@@ -76,22 +76,26 @@ class Experiment:
 
     @property
     def question(self) -> str:
-        """The question of the experiment, in one line."""
+        """The question: the first paragraph of the docstring, in one line."""
         words = self._parts[0].removeprefix("Question: ")
         return words[:1].upper() + words[1:]
 
     @property
     def method(self) -> str:
-        """The method of the experiment, as one paragraph."""
+        """The rest of the module's docstring, as one paragraph."""
         return self._parts[1]
 
     @property
     def _parts(self) -> tuple[str, str]:
+        """The docstring before and after its first empty line, without line breaks."""
         first, _, rest = (self.docstring or "").partition("\n\n")
         return " ".join(first.split()), " ".join(rest.split())
 
     def command(self) -> Callable[..., int]:
-        """The experiment as a function for [`run`][]: options and a help text."""
+        """A function for [`run`][] whose parameters are the options of the command.
+
+        It runs the experiment, writes its files, and returns the exit status.
+        """
 
         def main(
             small: bool = False,
@@ -115,13 +119,13 @@ class Experiment:
         return main
 
     def run(self) -> int:
-        """Run the experiment from the command line: see [`run`][]."""
+        """Run the experiment with the options of the command line; the exit status."""
         return run(self.command(), prog=f"python -m experiments.{self.name}")
 
 
 HELP = """{question}
 
-{method} Exit status 1 if something that should hold does not.
+{method} Exit status 1 if a check fails.
 
 Args:
     small: Few pixels and few draws: quick and coarse.
@@ -143,7 +147,7 @@ def show(console: Console, finding: Finding) -> None:
     print_warnings(console, finding.failed_checks)
 
 
-# Milliseconds that a frame of an animation stays.
+# Duration of a frame of an animation, milliseconds.
 FRAME = 90
 
 

@@ -29,6 +29,7 @@ from phongfit.commands.data import DataOptions, read_data
 from phongfit.files.dataset import Dataset
 from phongfit.report.pictures import Row, comparison
 
+# Number of left-out photographs that are drawn.
 SHOWN = 3
 
 MATTE_PARAMETERS = ("ambient", "diffuse")
@@ -36,12 +37,15 @@ ALL_PARAMETERS = ("ambient", "diffuse", "specular", "shininess")
 
 
 def read(folder: Path) -> Dataset:
-    """The photographs, with samples left out that no model of one material explains."""
+    """The photographs of a folder, with masks.
+
+    **Raises:** `ValueError` that names the file.
+    """
     return read_data(DataOptions(folder))[0]
 
 
 def every_second(data: Dataset, first: int) -> Dataset:
-    """Every second photograph, beginning with number `first`."""
+    """Every second photograph, beginning with index `first`, counted from 0."""
     pick = slice(first, None, 2)
     return dataclasses.replace(
         data,
@@ -53,27 +57,34 @@ def every_second(data: Dataset, first: int) -> Dataset:
 
 
 def predict(data: Dataset, material: pf.Material) -> list[np.ndarray]:
-    """Render each photograph's scene with this material."""
+    """Render each photograph's scene with this material, in linear light (H, W, 3)."""
     film = pf.Film(clamp=data.films[0].clamp)
     return [np.asarray(pf.render(s, material, film=film)) for s in data.scenes]
 
 
 def rmse_over_mean(data: Dataset, predicted: list[np.ndarray]) -> np.ndarray:
-    """Root mean square of the error over the mean light, for each channel."""
-    images, errors, weights = [], [], []
+    """Root mean square of predicted − measured over the mean light, for each channel.
+
+    Over all pixels of all photographs that are in the mask and show the surface.
+    """
+    sums, squares, counts = [], [], []
     for image, prediction, mask, scene in zip(
         data.images, predicted, data.masks, data.scenes, strict=True
     ):
         used = mask & np.asarray(pf.geometry.trace(scene.surface, scene.camera).mask)
-        weights.append(used.sum())
-        images.append(image[used].sum(axis=0, dtype=float))
-        errors.append(((prediction - image)[used].astype(float) ** 2).sum(axis=0))
-    count = np.sum(weights)
-    return np.sqrt(np.sum(errors, axis=0) / count) / (np.sum(images, axis=0) / count)
+        counts.append(used.sum())
+        sums.append(image[used].sum(axis=0, dtype=float))
+        squares.append(((prediction - image)[used].astype(float) ** 2).sum(axis=0))
+    count = np.sum(counts)
+    return np.sqrt(np.sum(squares, axis=0) / count) / (np.sum(sums, axis=0) / count)
 
 
 def fit(data: Dataset, unknowns: tuple[str, ...], shared: tuple[str, ...]) -> pf.Fit:
-    """Fit one material to all photographs of a data set."""
+    """Fit one material to all photographs of a data set.
+
+    **Arguments:** `shared`: unknowns with one value for all channels; the others have
+    a value for each.
+    """
     return pf.fit(
         data.scenes,
         data.images,
@@ -87,7 +98,7 @@ def fit(data: Dataset, unknowns: tuple[str, ...], shared: tuple[str, ...]) -> pf
 
 
 def show(title: str, result: pf.Fit, score: np.ndarray) -> None:
-    """Print a fit and its score."""
+    """Print a fit, and its score from [`rmse_over_mean`][]."""
     print(f"{title}\n{result}\n")
     print(f"  left-out photographs, RMSE / mean (R G B): {_format_channels(score)}\n")
 
@@ -146,6 +157,7 @@ def main(
 
 
 def _numbers(fits: dict[str, pf.Fit], scores: dict[str, np.ndarray]) -> dict:
+    """Numbers for the JSON file: those of the fit "free" at the top, others by name."""
     numbers: dict = {"rmse_over_mean": scores["free"]}
     numbers |= fits["free"].to_dict()
     numbers["shared"] = {"rmse_over_mean": scores["shared"], **fits["shared"].to_dict()}
@@ -155,7 +167,10 @@ def _numbers(fits: dict[str, pf.Fit], scores: dict[str, np.ndarray]) -> dict:
 
 def _figure(data: Dataset, predicted: list[np.ndarray]):
     """Draw a few of the left-out photographs, their predictions and the differences."""
+    # Spread evenly over the photographs, without the first and the last.
     shown = np.unique(np.linspace(0, len(data.images) - 1, SHOWN + 2)[1:-1].astype(int))
+    # Photographs are brightened by one factor, so that 99.5 % of the samples of each
+    # are below white.
     brightest = max(float(np.quantile(data.images[k], 0.995)) for k in shown)
     rows = []
     for k in shown:

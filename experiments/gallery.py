@@ -31,14 +31,20 @@ ASIDE = (1.6, 0.9, 1.5)
 """Direction from which the cat's mesh is drawn: x right, y up, z to the camera."""
 
 WIDEST = 1400
-"""Pixels of a picture: a screen's column of text, twice as sharp."""
+"""Largest width and height of a picture, pixels.
+
+Twice the width of a page's text, for screens with two pixels in place of one.
+"""
 
 LAMPS = ((-1, 0.6, 0.5), (1, 0.2, 0.7), (0.2, -1, 0.8))
-"""Directions of new lamps, which none of the cat's photographs has."""
+"""Directions to new lamps, which none of the cat's photographs has.
+
+In the axes of [`ASIDE`][].
+"""
 
 
 class Cat(NamedTuple):
-    """Maps of the cat, and one of its photographs."""
+    """Maps of PSBox's statue of a cat, and one of its photographs in linear light."""
 
     maps: pf.Maps
     photograph: Float[np.ndarray, "height width 3"]
@@ -64,7 +70,10 @@ def draw_ball() -> Figure:
 
 
 def _fitted_ball(name: str) -> tuple[np.ndarray, pf.Fit]:
-    """A noisy photograph of a ball of a classic material, and its fit."""
+    """A noisy rendered photograph of a ball, and its fit.
+
+    **Arguments:** `name`: a classic material, as in [`preset`][phongfit.preset].
+    """
     camera, lamp = pf.OrthographicCamera(160, 160), pf.DirectionalLight((1, 1, 2))
     scene = pf.Scene(pf.Sphere(), camera, lamp, ambient=0.3)
     light = np.array(pf.render(scene, pf.preset(name), film=pf.Film(clamp=False)))
@@ -76,12 +85,12 @@ def _fitted_ball(name: str) -> tuple[np.ndarray, pf.Fit]:
 
 @styled
 def draw_home(cat: Cat) -> Figure:
-    """Draw a photograph, its fit with numbers, and a mapped object that is relit."""
+    """Draw a photograph, its fit with numbers, and the cat: its normals, and relit."""
     image, fit = _fitted_ball("ruby")
     drawing = page(2.3)
     panels = drawing.subplots(1, 5)
     show(panels[0], image, "a photograph")
-    show(panels[1], np.clip(fit.fitted, 0, 1), "its fit", _numbers_of(fit))
+    show(panels[1], np.clip(fit.fitted, 0, 1), "its fit", _estimates(fit))
     show(panels[2], cat.photograph / np.quantile(cat.photograph, 0.995), "1 of 12")
     inside = ~cat.maps.flagged(pf.Flag.OUTSIDE)
     normals = np.where(inside[..., None], (cat.maps.normals + 1) / 2, 1)
@@ -93,7 +102,8 @@ def draw_home(cat: Cat) -> Figure:
     return drawing
 
 
-def _numbers_of(fit: pf.Fit) -> str:
+def _estimates(fit: pf.Fit) -> str:
+    """Estimates ± standard errors of red ρ_d, red ρ_s and f, one a line."""
     lines = {"diffuse.red": "ρ_{d}", "specular.red": "ρ_{s}", "shininess": "f"}
     return "\n".join(
         f"${letter}$ = {fit[label].value:.4g} ± {fit[label].error:.1g}"
@@ -109,17 +119,21 @@ def draw_maps(cat: Cat) -> Figure:
     panels = drawing.subplots(1, 4)
     show(panels[0], cat.photograph / np.quantile(cat.photograph, 0.995), "photograph")
     inside = ~maps.flagged(pf.Flag.OUTSIDE)
-    _numbers(panels[1], maps.diffuse[..., 0], inside, "diffuse $ρ_{d}$")
+    _draw_map(panels[1], maps.diffuse[..., 0], inside, "diffuse $ρ_{d}$")
     panels[2].imshow(np.where(inside[..., None], (maps.normals + 1) / 2, 1))
     panels[2].set_title("normals")
-    _numbers(panels[3], maps.normals_stderr, inside, "their error, degrees")
+    _draw_map(panels[3], maps.normals_stderr, inside, "their error, degrees")
     for axes in panels:
         quiet(axes)
         axes.set_anchor("N")
     return drawing
 
 
-def _numbers(axes: Axes, values: np.ndarray, inside: np.ndarray, title: str) -> None:
+def _draw_map(axes: Axes, values: np.ndarray, inside: np.ndarray, title: str) -> None:
+    """Draw a map (H, W) with its colour bar, from 0 to its 98 % quantile.
+
+    **Arguments:** `inside`: pixels of the object; others stay empty.
+    """
     known = np.where(inside & np.isfinite(values), values, np.nan)
     image = axes.imshow(known, vmin=0, vmax=np.nanquantile(known, 0.98), cmap="viridis")
     figure: Any = axes.get_figure(root=True)
@@ -129,7 +143,7 @@ def _numbers(axes: Axes, values: np.ndarray, inside: np.ndarray, title: str) -> 
 
 @styled
 def draw_relit(cat: Cat) -> Figure:
-    """Draw the cat under other lamps, with shadows, and its mesh from the side."""
+    """Draw the cat under new lamps, with shadows, and its mesh from the side."""
     maps, surface = cat.maps, cat.maps.height()
     pictures = maps.relight([pf.DirectionalLight(lamp) for lamp in LAMPS])
     drawing = page(2.9)
@@ -143,7 +157,7 @@ def draw_relit(cat: Cat) -> Figure:
 
 
 def _mesh(surface: pf.geometry.HeightField) -> np.ndarray:
-    """Render a surface's mesh under one lamp, from the side."""
+    """Render a surface's mesh under one lamp, from the direction `ASIDE`."""
     mesh, points = surface.mesh(), surface.positions()[surface.mask]
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     size = float(np.ptp(points, axis=0).max())

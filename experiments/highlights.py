@@ -19,10 +19,14 @@ from experiments.finding import Experiment, Finding, Table
 from phongfit.vectors import Scalar, Vec3
 
 EXPONENTS = (10.0, 25.0, 50.0, 100.0, 200.0)
+"""Exponents f of the Blinn highlights that are fitted."""
+
 ANGLES = (10.0, 40.0, 70.0, 100.0)
-"""Between the directions to lamp and viewer, degrees."""
+"""Angles between the directions to lamp and viewer, degrees."""
 
 SHOWN = 50.0
+"""Exponent of the highlights that are drawn."""
+
 LAMP = 8.0
 """Radius in degrees of the lamp that the ideal mirror shows."""
 
@@ -33,27 +37,30 @@ class IdealMirror(pf.AbstractSpecular):
     radius: float = eqx.field(static=True, default=LAMP)
 
     def cosine(self, normal: Vec3, to_light: Vec3, to_viewer: Vec3) -> Scalar:
+        """Cosine of the angle between mirrored light and viewer, as for Phong."""
         return pf.Phong().cosine(normal, to_light, to_viewer)
 
     def lobe(
         self, cosine: Float[Array, "..."], shininess: Float[Array, "..."]
     ) -> Float[Array, "..."]:
+        """1 inside the lamp's disc, 0 outside; a mirror has no exponent."""
         del shininess
         inside = cosine >= np.cos(np.deg2rad(self.radius))
         return inside.astype(cosine.dtype)
 
     def diffuse_scale(self) -> float:
+        """1: this model does not normalise the diffuse term."""
         return 1.0
 
 
-IdealMirror.__init__.__doc__ = """**Arguments:** `radius`: of the lamp, degrees."""
+IdealMirror.__init__.__doc__ = """**Arguments:** `radius`: the lamp's, degrees."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Result:
-    """Blinn highlights fitted by Phong's model, (exponents, angles).
+    """Blinn highlights fitted by Phong's model: arrays of shape (exponents, angles).
 
-    - `ratio`: Phong's exponent over Blinn's;
+    - `ratio`: the fitted Phong exponent over Blinn's;
     - `residual`: RMS residual, relative to the RMS of the highlight.
     """
 
@@ -64,10 +71,13 @@ class Result:
 def ball(
     size: int, angle: float, model: pf.AbstractSpecular, background: float = 0.0
 ) -> pf.Scene:
-    """A ball; its lamp stands to the upper left, `angle` degrees off the viewer."""
-    turn = np.deg2rad(angle)
-    across = np.array([-1.0, 1.0]) / np.sqrt(2) * np.sin(turn)
-    lamp = pf.DirectionalLight((*across, np.cos(turn)))
+    """A ball; its lamp stands to the upper left, `angle` degrees off the viewer (+z).
+
+    **Arguments:** `size`: width and height of the image, pixels.
+    """
+    radians = np.deg2rad(angle)
+    across = np.array([-1.0, 1.0]) / np.sqrt(2) * np.sin(radians)
+    lamp = pf.DirectionalLight((*across, np.cos(radians)))
     camera = pf.OrthographicCamera(size, size, view_height=2.05)
     return pf.Scene(
         pf.Sphere(), camera, lamp, specular_model=model, background=background
@@ -75,7 +85,7 @@ def ball(
 
 
 def measure(size: int) -> Result:
-    """Fit Phong's model to Blinn's highlights, for each exponent and angle."""
+    """Fit Phong's model to Blinn's highlights, in images of `size` × `size` pixels."""
     ratio, residual = [], []
     for exponent in EXPONENTS:
         material = pf.Material(0.0, 0.9, exponent, 0.0)
@@ -99,13 +109,15 @@ def measure(size: int) -> Result:
 def profile(model: pf.AbstractSpecular, degrees: np.ndarray, f: float) -> np.ndarray:
     """Height of a highlight for normals at these angles from its centre.
 
-    Lamp, viewer and normal share a plane, and the lamp stands beside the viewer.
+    Lamp and viewer are in the same direction, so the centre is where the normal points
+    to them. `f` is the exponent.
     """
-    along = jnp.array([0.0, 0.0, 1.0])
+    to_both = jnp.array([0.0, 0.0, 1.0])
     angles = np.deg2rad(degrees)
     normals = np.stack([np.sin(angles), 0 * angles, np.cos(angles)], axis=1)
-    cosines = [model.cosine(jnp.asarray(n, along.dtype), along, along) for n in normals]
-    return np.asarray(model.lobe(jnp.stack(cosines), jnp.asarray(f, along.dtype)))
+    dtype = to_both.dtype
+    cosines = [model.cosine(jnp.asarray(n, dtype), to_both, to_both) for n in normals]
+    return np.asarray(model.lobe(jnp.stack(cosines), jnp.asarray(f, dtype)))
 
 
 MODELS = (
@@ -114,11 +126,12 @@ MODELS = (
     (f"Blinn\n$f$ = {SHOWN:g}", pf.BlinnPhong(), SHOWN, style.VERMILION, "-"),
     (f"Blinn\n$f$ = {4 * SHOWN:g}", pf.BlinnPhong(), 4 * SHOWN, style.ORANGE, "--"),
 )
+"""Highlights that are drawn: title, model, exponent, colour and line style."""
 
 
 @style.styled
 def draw(result: Result, size: int) -> Figure:
-    """Draw balls, profiles, and the ratio of exponents."""
+    """Draw balls of `size` × `size` pixels, profiles, and the ratio of exponents."""
     figure = style.page(6.3)
     top, bottom = style.bands(figure, 3.7, 2.6)
     images = [
@@ -168,9 +181,10 @@ def draw(result: Result, size: int) -> Figure:
 
 
 def find(small: bool) -> Finding:
-    """Measure, draw and answer."""
+    """Run the experiment: measure, draw and answer; `small`: quick and coarse."""
     size = 48 if small else 128
     result = measure(size)
+    # Ratios for the lamp nearest to the viewer's direction, and for the farthest.
     near, far = result.ratio[:, 0], result.ratio[:, -1]
     answer = (
         "An ideal mirror shows the lamp itself, as a disc; Phong and Blinn blur it, "
@@ -182,8 +196,8 @@ def find(small: bool) -> Finding:
         "the "
         f"lamp {ANGLES[-1]:g}° away it is {far.min():.2f} to {far.max():.2f}, and no "
         "Phong highlight is like Blinn's: Phong's is drawn out along the ball's rim, "
-        "as a mirror's is, and Blinn's stays round. There "
-        f"{100 * result.residual[-1, -1]:.0f} % of it is left over, against "
+        "as a mirror's is, and Blinn's stays round. There the residual is "
+        f"{100 * result.residual[-1, -1]:.0f} % of the highlight (RMS), against "
         f"{100 * result.residual[-1, 0]:.1f} % at {ANGLES[0]:g}° "
         f"(f = {EXPONENTS[-1]:g})."
     )

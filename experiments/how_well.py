@@ -22,8 +22,11 @@ from experiments import style
 from experiments.finding import Experiment, Finding, Table
 
 TRUTH = pf.Material(0.5, 0.3, 20.0, 0.5)
+# The true material of close-ups.
 SHARP = pf.Material(0.5, 0.3, 60.0, 0.5)
+# Standard deviation in linear light, where white is 1.
 NOISE = 0.01
+# Width and height of an image, pixels.
 SIZE = 48
 UNCLAMPED = pf.Film(clamp=False)
 PARAMETERS = tuple(style.PARAMETERS)
@@ -42,7 +45,11 @@ class Setting:
 
 @dataclasses.dataclass(frozen=True)
 class Sweep:
-    """Settings that differ in one thing."""
+    """Settings that differ in one thing, which is their coordinate `x`.
+
+    - `name`: a word for it; `label`: label of the x axis, with its unit;
+    - `log`: whether the x axis is logarithmic.
+    """
 
     name: str
     label: str
@@ -52,12 +59,14 @@ class Sweep:
 
 @dataclasses.dataclass(frozen=True)
 class Spread:
-    """Errors of many fits of one setting, in the order of `PARAMETERS`.
+    """Errors of many fits of one setting; arrays are in the order of `PARAMETERS`.
 
-    - `bound`, `observed`: the predicted error, and the root mean square of the fits'
-        errors, relative to the truth;
-    - `pull`: root mean square of error / stated error, over the fits that state one;
-    - `identified`: whether the prediction says that the parameter is identifiable;
+    - `x`: coordinate of the setting;
+    - `bound`: predicted standard error, relative to the truth (for f: of log f);
+    - `observed`: root mean square of estimate − truth over the fits, likewise relative;
+    - `pull`: root mean square of (estimate − truth) / stated error, over the fits that
+        state a finite one; NaN if half of the fits or more do not;
+    - `identified`: whether the prediction states a finite error, away from the bounds;
     - `draws`: number of fits.
     """
 
@@ -70,17 +79,21 @@ class Spread:
 
     @property
     def ratio(self) -> np.ndarray:
-        """Observed over predicted; NaN for what is not identifiable."""
+        """Observed over predicted errors; NaN for parameters not identified."""
         return np.where(self.identified, self.observed / self.bound, np.nan)
 
     @property
     def tolerance(self) -> float:
-        """Three relative standard errors of a root mean square over `draws` fits."""
+        """Limit for |ratio − 1|: 3 standard errors of an RMS over `draws` fits."""
         return 3 / np.sqrt(2 * self.draws)
 
 
 def ball(size: int, directions: np.ndarray, exposure: float = 1.0) -> list[pf.Scene]:
-    """A ball photographed once under each lamp."""
+    """Scenes of a ball, one for each lamp.
+
+    **Arguments:** `size`: width and height of the images, pixels; `directions`: (lamps,
+    3), to the lamps; `exposure`: factor on all light.
+    """
     camera = pf.OrthographicCamera(size, size)
     return [
         pf.Scene(
@@ -94,10 +107,11 @@ def ball(size: int, directions: np.ndarray, exposure: float = 1.0) -> list[pf.Sc
 
 
 LAMP = np.array([[1.0, 1.0, 2.0]])
+"""Direction to the only lamp of most sweeps, as an array of shape (1, 3)."""
 
 
 def noises(levels: Sequence[float]) -> Sweep:
-    """A sweep over the level of noise."""
+    """A sweep over the standard deviation of the noise."""
     scenes = tuple(ball(SIZE, LAMP))
     settings = tuple(Setting(noise, scenes, noise) for noise in levels)
     return Sweep("noise", "noise (white is 1)", settings)
@@ -111,7 +125,7 @@ def lamps(counts: Sequence[int]) -> Sweep:
 
 
 def resolutions(sizes: Sequence[int]) -> Sweep:
-    """A sweep over the resolution of the image."""
+    """A sweep over the width and height of the image, pixels."""
     settings = tuple(Setting(size, tuple(ball(size, LAMP))) for size in sizes)
     return Sweep("resolution", "width of the image (pixels)", settings)
 
@@ -130,12 +144,16 @@ def exposures(fractions: Sequence[float]) -> Sweep:
     return Sweep("clipping", "samples at white (%)", tuple(settings), log=False)
 
 
-def close_ups(places: Sequence[float], size: int = 39) -> Sweep:
-    """A sweep of close-ups; x is the fraction of the highlight that is seen."""
+def close_ups(centres: Sequence[float], size: int = 39) -> Sweep:
+    """A sweep over the percentage of the highlight's light that a close-up shows.
+
+    **Arguments:** `centres`: x of the middle of each close-up, on a ball of radius 1;
+    `size`: width and height in pixels.
+    """
     settings = []
     (whole,) = close_up(-0.2, 2.0, size)
-    for place in places:
-        scenes = close_up(place, 0.8, size)
+    for centre in centres:
+        scenes = close_up(centre, 0.8, size)
         fraction = highlight_light(scenes[0]) / highlight_light(whole)
         settings.append(Setting(100 * fraction, scenes, material=SHARP))
     label = "share of the highlight that is seen (%)"
@@ -143,27 +161,32 @@ def close_ups(places: Sequence[float], size: int = 39) -> Sweep:
 
 
 def close_up(x: float, view: float, size: int) -> tuple[pf.Scene, ...]:
-    """A close-up of the ball around (x, 0), `view` wide; `size` pixels are 0.8 wide."""
+    """A close-up of the ball around (x, 0), `view` world units wide.
+
+    `size` pixels cover 0.8 world units, however wide the view is.
+    """
     size = round(size * view / 0.8)
     camera = pf.OrthographicCamera(size, size, view_height=view, position=(x, 0.0, 5.0))
-    # Its highlight is centred on x = −0.35.
-    turn = 2 * np.arcsin(-0.35)
-    lamp = pf.DirectionalLight((np.sin(turn), 0, np.cos(turn)), 0.7)
+    # The highlight is centred where the normal halves the angle between the lamp and
+    # the viewer: here at x = −0.35.
+    lamp_angle = 2 * np.arcsin(-0.35)
+    lamp = pf.DirectionalLight((np.sin(lamp_angle), 0, np.cos(lamp_angle)), 0.7)
     return (pf.Scene(pf.Sphere(), camera, lamp, ambient=0.3),)
 
 
 def highlight_light(scene: pf.Scene) -> float:
-    """Light of the highlight, summed over the area of the image."""
+    """Light of the highlight for ρ_s = 1, integrated over the image in world units."""
     glint = pf.Material(0.0, 1.0, SHARP.shininess, 0.0)
     camera = scene.camera
     assert isinstance(camera, pf.OrthographicCamera)
     pixel = float(camera.view_height) / camera.height
     image = np.asarray(pf.render(scene, glint, film=UNCLAMPED), float)
+    # All channels are equal.
     return float(image[..., 0].sum()) * pixel**2
 
 
 def sweeps(small: bool) -> list[Sweep]:
-    """Sweeps of noise, number of lamps, resolution, clipping and window of light."""
+    """Sweeps over noise, number of lamps, resolution, clipping and close-ups."""
     if small:
         return [
             noises([0.01, 0.03]),
@@ -196,7 +219,7 @@ def measure_setting(setting: Setting, draws: int, seed: int) -> Spread:
         for scene in scenes
     ]
     rng = np.random.default_rng(seed)
-    off, pulls = [], []
+    errors, pulls = [], []
     for _ in range(draws):
         images = [
             light + setting.noise * rng.normal(size=light.shape) for light in lights
@@ -204,13 +227,13 @@ def measure_setting(setting: Setting, draws: int, seed: int) -> Spread:
         if setting.film.clamp:
             images = [np.clip(image, 0, 1) for image in images]
         fit = pf.fit(scenes, images, **options)
-        off.append(relative(fit.values[order], truth))
+        errors.append(relative(fit.values[order], truth))
         stated = np.where(fit.unidentified | fit.at_bound, np.nan, fit.errors)[order]
-        pulls.append(off[-1] * truth / stated)
+        pulls.append(errors[-1] * truth / stated)
     return Spread(
         setting.x,
         predicted.errors[order] / truth,
-        np.sqrt(np.mean(np.square(off), axis=0)),
+        np.sqrt(np.mean(np.square(errors), axis=0)),
         root_mean_square(np.array(pulls)),
         ~predicted.unidentified[order] & ~predicted.at_bound[order],
         draws,
@@ -218,7 +241,10 @@ def measure_setting(setting: Setting, draws: int, seed: int) -> Spread:
 
 
 def relative(values: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Errors relative to the truth; for f the error of log f, which is fitted."""
+    """(values − truth) / truth; for f the difference of log f, since log f is fitted.
+
+    Both arrays are in the order of `PARAMETERS`.
+    """
     error = values / truth - 1
     f = PARAMETERS.index("shininess")
     error[f] = np.log(values[f] / truth[f])
@@ -239,7 +265,7 @@ Results = list[tuple[Sweep, list[Spread]]]
 
 
 def measure(small: bool) -> Results:
-    """Measure all sweeps, with independent noise for every setting."""
+    """Fit the images of all sweeps, with independent noise for every setting."""
     draws, seed, results = 40 if small else 200, 0, []
     for sweep in sweeps(small):
         seeds = range(seed, seed + len(sweep.settings))
@@ -278,6 +304,7 @@ def draw_ratios(axes: Axes, results: Results) -> None:
         for k, name in enumerate(PARAMETERS):
             colour, marker, _ = style.PARAMETERS[name]
             ratio = [spread.ratio[k] for spread in spreads]
+            # Marks of the four parameters stand side by side.
             axes.plot(x + 0.18 * (k - 1.5), ratio, marker, c=colour, ms=3.5)
         middles.append(x.mean())
         start += len(spreads) + 1
@@ -346,7 +373,7 @@ def summarize(results: Results) -> str:
 
 
 def find(small: bool) -> Finding:
-    """Measure, draw and answer."""
+    """Run the experiment: measure, draw and answer; `small`: quick and coarse."""
     results = measure(small)
     rows = tuple(
         (
@@ -381,6 +408,7 @@ def failures(results: Results) -> tuple[str, ...]:
     failed_checks = []
     for sweep, spreads in results:
         for spread in spreads:
+            # Ratios, their lower limit, and what they are relative to.
             judged = [(spread.ratio, 1 - spread.tolerance, "the prediction")]
             if not spread.identified.all():
                 # Without an identified exponent, fits state errors for the widest

@@ -21,10 +21,20 @@ HEIGHT = 2.0
 """Height of the lamps over the floor, world units."""
 
 CUTOFF = 30.0
+"""Angle from a spot's axis to the edge of its cone, degrees."""
+
 DENSITY = 0.25
+"""Density of the fog, per world unit."""
+
 SUN = (1.0, 1.0, 0.3)
+"""Direction to the sun that casts the measured shadow; y is up."""
+
 RADIUS = 0.45
+"""Radius of the ball, world units."""
+
 FLOOR = 0
+"""Number of the floor's material; the ball's is 1."""
+
 MATERIAL = stack_materials(
     [
         pf.Material((0.55, 0.5, 0.42), 0.0, 10.0, (0.55, 0.5, 0.42)),
@@ -49,11 +59,14 @@ LAMPS: dict[str, pf.AbstractLight] = {
 class Result:
     """Measured values, and those of the formulas.
 
-    - `floor_distance`: from the point below the lamp, world units;
+    - `floor_distance`: signed distance to the right of the point below the lamp, world
+        units;
     - `falloff`, `falloff_formula`: light at these distances by lamp, where 1 is a white
         floor under the directional lamp;
-    - `depth`, `contrast`, `contrast_formula`: of pixels in fog, along the view;
-    - `shadow`, `shadow_formula`: area of the ball's shadow on the floor.
+    - `depth`: of the floor's pixels in fog, along the camera's axis, world units;
+        `contrast`, `contrast_formula`: light of white minus black floor there;
+    - `shadow`, `shadow_formula`: area of the ball's shadow on the floor, square world
+        units.
     """
 
     floor_distance: np.ndarray
@@ -67,7 +80,10 @@ class Result:
 
     @property
     def differences(self) -> dict[str, float]:
-        """Largest differences between measured values and the formulas."""
+        """Largest differences from the formulas, by lamp, of the fog and the shadow.
+
+        That of the shadow is relative to its area, the others are differences of light.
+        """
         differences = {
             name: float(np.abs(self.falloff[name] - formula).max())
             for name, formula in self.falloff_formula.items()
@@ -77,7 +93,7 @@ class Result:
 
 
 def floor(size: float) -> pf.Mesh:
-    """A square in the plane y = 0, seen from above."""
+    """A square in the plane y = 0, from −`size` to `size` in x and z; it faces up."""
     corners = np.array([[-1, 0, -1], [-1, 0, 1], [1, 0, 1], [1, 0, -1]], float)
     return pf.Mesh(size * corners, [[0, 1, 2], [0, 2, 3]])
 
@@ -93,9 +109,11 @@ def measure(size: int) -> Result:
     """Measure everything on pictures of `size` × `size` pixels."""
     white = pf.Material(1.0, 0.0, ambient=0.0)
     camera = from_above(size)
-    x, _, z = np.asarray(camera.rays().origin, float)[size // 2].T
+    # Rays run straight down, so they meet the floor at the x and z of their origins.
+    middle_row = size // 2
+    x, _, z = np.asarray(camera.rays().origin, float)[middle_row].T
     falloff = {
-        name: light_of(pf.Scene(floor(5.0), camera, lamp), white)[size // 2]
+        name: light_of(pf.Scene(floor(5.0), camera, lamp), white)[middle_row]
         for name, lamp in LAMPS.items()
     }
     depth, contrast = fog_contrast(size)
@@ -107,32 +125,42 @@ def measure(size: int) -> Result:
         contrast,
         np.exp(-DENSITY * depth),
         shadow_area(size),
-        # A disc's shadow, drawn out by the slope of the rays.
+        # The shadow of a disc across the rays: an ellipse, longer by 1 / cos of the
+        # angle between the sun and the floor's normal.
         np.pi * RADIUS**2 / (SUN[1] / float(np.linalg.norm(SUN))),
     )
 
 
 def light_of(scene: pf.Scene, material: pf.Material) -> np.ndarray:
-    """Linear light of one channel, before the clamp."""
+    """Linear light of a grey image, not clamped at white: shape (H, W)."""
     image = pf.render(scene, material, film=pf.Film(clamp=False))
+    # All channels are equal.
     return np.asarray(image, float)[..., 0]
 
 
 def falloff_formulas(floor_distance: np.ndarray) -> dict[str, np.ndarray]:
-    """Light at distances from the point below a lamp, relative to that point."""
+    """Light by lamp, at distances (world units) from the point of the floor below it.
+
+    It is 1 below the lamp.
+    """
     cosine = HEIGHT / np.hypot(floor_distance, HEIGHT)
-    # Lambert's cosine, and its square for the inverse square of the distance.
+    # Lambert's cosine, times cos² for the inverse square of the distance.
     point = cosine**3
     inside = cosine >= np.cos(np.deg2rad(CUTOFF))
     return {
         "directional": np.ones_like(floor_distance),
         "point": point,
+        # 4 is the spot's exponent.
         "spot": np.where(inside, point * cosine**4, 0),
     }
 
 
 def fog_contrast(size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Depth of the floor's pixels, and the contrast of white to black left by fog."""
+    """Depth of the floor's pixels, and white minus black floor as seen through fog.
+
+    Of the middle column of an image of `size` × `size` pixels, up to a depth of 12
+    world units.
+    """
     camera = pf.PerspectiveCamera.look_at(
         (0, 1.2, 4), (0, 0.4, 0), width=size, height=size, fov_y=40.0
     )
@@ -142,21 +170,25 @@ def fog_contrast(size: int) -> tuple[np.ndarray, np.ndarray]:
         light_of(scene, pf.Material(0.0, 0.0, ambient=a)) for a in (1.0, 0.0)
     )
     gbuffer = scene.trace()
-    rows = np.asarray(gbuffer.mask)[:, size // 2]
-    middle = gbuffer.position[:, size // 2]
-    depth = np.asarray(jax.vmap(camera.depth)(middle))[rows]
-    contrast = (light - dark)[:, size // 2][rows]
+    on_floor = np.asarray(gbuffer.mask)[:, size // 2]
+    positions = gbuffer.position[:, size // 2]
+    depth = np.asarray(jax.vmap(camera.depth)(positions))[on_floor]
+    contrast = (light - dark)[:, size // 2][on_floor]
     shown = depth < 12
     return depth[shown], contrast[shown]
 
 
 def shadow_area(size: int) -> float:
-    """Area of the ball's shadow on the floor, under a sun so low that both are seen."""
+    """Area of the ball's shadow on the floor, square world units, from counted pixels.
+
+    The sun is so low that the ball does not hide its shadow from the camera above.
+    """
     camera = from_above(size)
     both = pf.geometry.join([floor(5.0), ball(48, RADIUS, (0, 1.4, 0))])
     scene = pf.Scene(both, camera, pf.DirectionalLight(SUN), shadows=True)
     gbuffer = scene.trace()
     assert gbuffer.visibility is not None and gbuffer.material_index is not None
+    # The last axis is for the lights, of which there is one.
     dark = np.asarray(gbuffer.visibility)[..., 0] == 0
     on_floor = np.asarray(gbuffer.material_index) == FLOOR
     pixel = float(camera.view_height) / size
@@ -164,16 +196,16 @@ def shadow_area(size: int) -> float:
 
 
 def pictures(size: int) -> dict[str, pf.Scene]:
-    """Scenes of ball and floor from one camera, under all kinds of light."""
+    """Scenes of ball and floor from one camera, by their kind of light."""
     camera = pf.PerspectiveCamera.look_at(
         (0.6, 1.9, 4.0), (0.25, 0.4, 0), width=size, height=size, fov_y=34.0
     )
     both = pf.geometry.join([floor(60.0), ball(48, RADIUS, (0, 0.75, 0))])
     sun = pf.DirectionalLight((-0.8, 1.2, 0.6), 0.9)
-    above, falling = (-0.5, 2.0, 0.8), (0, 0, 1)
-    point = pf.PointLight(above, 2.5, attenuation=falling)
+    position, inverse_square = (-0.5, 2.0, 0.8), (0, 0, 1)
+    point = pf.PointLight(position, 2.5, attenuation=inverse_square)
     spot = pf.SpotLight(
-        above, (0.5, -1.4, -0.8), 3.0, cutoff=CUTOFF, attenuation=falling
+        position, (0.5, -1.4, -0.8), 3.0, cutoff=CUTOFF, attenuation=inverse_square
     )
 
     def scene(
@@ -195,7 +227,7 @@ def pictures(size: int) -> dict[str, pf.Scene]:
 
 @style.styled
 def draw(result: Result, size: int) -> Figure:
-    """Draw six pictures above; fall-off of light and contrast in fog below."""
+    """Draw six pictures of `size` × `size` pixels; fall-off of light and fog below."""
     figure = style.page(7.6)
     top, bottom = style.bands(figure, 5.1, 2.5)
     scenes = pictures(size)
@@ -228,7 +260,7 @@ def draw(result: Result, size: int) -> Figure:
 
 
 def find(small: bool) -> Finding:
-    """Measure, draw and answer."""
+    """Run the experiment: measure, draw and answer; `small`: quick and coarse."""
     result = measure(64 if small else 256)
     distance = HEIGHT / 2
     point, spot = (
@@ -247,10 +279,11 @@ def find(small: bool) -> Finding:
         f"{CUTOFF:g}° "
         f"{100 * spot:.0f} %. Fog takes contrast as e^(−ρz), half of it in "
         f"{np.log(2) / DENSITY:.1f} units. The ball's shadow is {result.shadow:.2f} "
-        f"units² large, where the formula says {result.shadow_formula:.2f}. Light and "
+        f"units² large, by the formula {result.shadow_formula:.2f}. Light and "
         f"fog differ from their formulas by {worst:.0e} at most."
     )
-    # Pixels on the spot's edge and the shadow's are on one side or the other.
+    # A pixel counts as shadow or as light, so the shadow's area has an error of the
+    # order of a pixel along its edge.
     tolerance = {"shadow": 0.1 if small else 0.02}
     failed_checks = tuple(
         f"{name} is {difference:.1e} off its formula"

@@ -17,19 +17,24 @@ from experiments.finding import Experiment, Finding, Table
 FRACTIONS = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 SPECULARS = (0.25, 0.5, 0.75)
 EXPONENTS = (3.0, 5.0, 10.0, 25.0, 100.0, 200.0)
+# Exponents that the figure labels as typical of plastic and of metal.
 PLASTIC, METAL = (5.0, 10.0), (100.0, 200.0)
+# Colour of the balls that are drawn, RGB.
 COLOUR = np.array([0.95, 0.75, 0.55])
-# Not clamped, since all light is measured.
+# Not clamped at white, so that all light is measured.
 UNCLAMPED = pf.Film(clamp=False)
 
 
 @dataclasses.dataclass(frozen=True)
 class Result:
-    """Light and widths, in the order of `FRACTIONS` and `EXPONENTS`.
+    """Light for each of `FRACTIONS`, and widths for each of `EXPONENTS`.
 
-    `diffuse_peak` and `ambient_rise` are in units of white; `width` and `formula` the
-    angle in degrees from the highlight's centre to half its height; `nonlinearity` the
-    largest deviation of light from being proportional to ρ_d, ρ_a or ρ_s.
+    - `diffuse_peak`, `ambient_rise`: largest light in the image for each ρ_d and for
+        each ρ_a, where 1 is white;
+    - `width`: angle in degrees from the highlight's centre to half its height, as
+        measured; `formula`: the same angle by the formula;
+    - `nonlinearity`: largest deviation of light from being proportional to ρ_d, ρ_a or
+        ρ_s, where 1 is white.
     """
 
     diffuse_peak: np.ndarray
@@ -40,14 +45,17 @@ class Result:
 
 
 def ball(size: int, ambient: float = 0.0, background: float = 0.0) -> pf.Scene:
-    """A ball under one lamp at the upper left."""
+    """A ball under one lamp at the upper left, in `size` × `size` pixels."""
     camera = pf.OrthographicCamera(size, size, view_height=2.1)
     lamp = pf.DirectionalLight((-1, 1, 1.6))
     return pf.Scene(pf.Sphere(), camera, lamp, ambient, background=background)
 
 
 def light(scene: pf.Scene, **parameters: float) -> np.ndarray:
-    """Linear light of a scene for a material whose other parameters are 0."""
+    """Linear light of a scene for a material with these parameters, and no others.
+
+    Reflectances that are not given are 0.
+    """
     material = pf.Material(**(dict(diffuse=0.0, ambient=0.0) | parameters))
     return np.asarray(pf.render(scene, material, film=UNCLAMPED), float)
 
@@ -58,6 +66,7 @@ def measure(size: int) -> Result:
     diffuse = np.array([light(scene, diffuse=fraction) for fraction in FRACTIONS])
     ambient = np.array([light(scene, ambient=fraction) for fraction in FRACTIONS])
     specular = np.array([light(scene, specular=s, shininess=25.0) for s in SPECULARS])
+    # Difference from the image of the largest fraction, scaled to each fraction.
     nonlinearity = [
         np.abs(images - np.multiply.outer(fractions, images[-1] / fractions[-1])).max()
         for images, fractions in (
@@ -76,11 +85,13 @@ def measure(size: int) -> Result:
 
 
 def highlight_width(scene: pf.Scene, exponent: float) -> float:
-    """Angle in degrees from the highlight's centre to where it has half its height.
+    """Angle in degrees between the normals at a highlight's centre and at half height.
 
-    From the solid angle of the normals that see more than half: a cap of half-angle θ
-    has 2π (1 − cos θ), and a pixel of a ball seen from afar its area over n_z.
+    Computed from the solid angle of the normals whose pixels are brighter than half the
+    peak. A cap of half-angle θ has the solid angle 2π (1 − cos θ); on a ball of radius
+    1 in orthographic view, a pixel covers its area divided by n_z.
     """
+    # All channels are equal.
     image = light(scene, specular=1.0, shininess=exponent)[..., 0]
     facing = np.asarray(scene.trace().normal, float)[..., 2]
     camera = scene.camera
@@ -92,7 +103,7 @@ def highlight_width(scene: pf.Scene, exponent: float) -> float:
 
 @style.styled
 def draw(size: int) -> Figure:
-    """Draw rows of balls."""
+    """Draw rows of balls, in `size` × `size` pixels each."""
     figure = style.page(6.9)
     top, bottom = style.bands(figure, 2.7, 4.0)
     scene = ball(size, ambient=0.5, background=1.0)
@@ -126,7 +137,7 @@ def draw(size: int) -> Figure:
 
 
 def find(small: bool) -> Finding:
-    """Measure, draw and answer."""
+    """Run the experiment: measure, draw and answer; `small`: quick and coarse."""
     size = 64 if small else 256
     result = measure(size)
     widths = dict(zip(EXPONENTS, result.width, strict=True))
@@ -145,7 +156,8 @@ def find(small: bool) -> Finding:
             EXPONENTS, result.width, result.formula, strict=True
         )
     )
-    # In a highlight of n pixels, about √n on its edge may or may not be counted.
+    # In a highlight of n pixels, about √n are on its edge: whether each is counted
+    # depends on rounding.
     tolerance = 0.25 if small else 0.05
     relative_error = np.abs(result.width / result.formula - 1)
     failed_checks = [

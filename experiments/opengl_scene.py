@@ -31,13 +31,18 @@ from phongfit.reflectance import BlinnPhong
 from phongfit.scene import Scene
 
 MAX_LIGHTS = 8
+"""Number of lights that every OpenGL 1.x has."""
 
 
 def shading_to_opengl(shading: AbstractShading, *, nearest: bool = False) -> str:
-    """A shading method as the argument of `glShadeModel`.
+    """A shading method as the argument of `glShadeModel`: GL_FLAT or GL_SMOOTH.
 
-    **Raises:** `ValueError` for one that OpenGL does not have: Phong shading, and flat
-    shading by centroids; unless `nearest`.
+    OpenGL has Gouraud shading, and flat shading lit at a face's last vertex.
+
+    **Arguments:** `nearest`: for Phong shading return GL_SMOOTH, for flat shading lit
+    at the centroid GL_FLAT, each with a warning instead of an error.
+
+    **Raises:** `ValueError` for these methods, unless `nearest`.
     """
     if isinstance(shading, FlatShading):
         if shading.at == "centroid":
@@ -51,9 +56,10 @@ def shading_to_opengl(shading: AbstractShading, *, nearest: bool = False) -> str
 def shading_from_opengl(shade_model: str, clamp: bool = True) -> AbstractShading:
     """A shading method from the argument of `glShadeModel`.
 
-    **Arguments:** `clamp`: GL_CLAMP_VERTEX_COLOR.
+    **Arguments:** `shade_model`: GL_FLAT or GL_SMOOTH; `clamp`: whether light at
+    vertices is clamped to [0, 1] (OpenGL's GL_CLAMP_VERTEX_COLOR).
 
-    **Raises:** `ValueError` for another argument.
+    **Raises:** `ValueError` for any other `shade_model`.
     """
     if shade_model == "GL_FLAT":
         return FlatShading("last_vertex", clamp)
@@ -67,8 +73,14 @@ def camera_to_opengl(
 ) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "4 4"]]:
     """Projection and modelview matrix, for `glLoadTransposeMatrixd`.
 
-    **Arguments:** `camera`; `near`, `far`: depths between which things are drawn, world
-    units. **Returns:** matrices that multiply column vectors from the left.
+    **Arguments:**
+
+    - `camera`: an orthographic or perspective one.
+    - `near`, `far`: depths between which OpenGL draws, world units.
+
+    **Returns:** matrices that multiply column vectors from the left. The first takes
+    camera axes (x right, y up, view along −z) to OpenGL's clip coordinates, the second
+    world axes to camera axes.
 
     **Raises:** `ValueError` for a camera of another kind.
     """
@@ -93,19 +105,20 @@ def camera_to_opengl(
 
 
 def scene_to_opengl(scene: Scene, *, nearest: bool = False) -> Parameters:
-    """All of a scene's state but the mesh and its material.
+    """State of OpenGL for a scene: all but its mesh, camera and material.
 
     **Arguments:**
 
     - `scene`: lit by at most 8 lights, with OpenGL's own highlight, [`BlinnPhong`][].
-    - `nearest`: leave out, with a warning, what OpenGL does not have (shadows, Phong
-        shading, another model of the highlight).
+    - `nearest`: warn instead of raising an error, and leave out or replace by the
+        nearest what OpenGL does not have: shadows, Phong shading, another model of the
+        highlight, fog and background above 1, a spot's exponent above 128.
 
-    **Returns:** `light_model`, `shade_model`, `clamp_vertex_color`, `lights`, `fog` and
-    `background`.
+    **Returns:** `light_model`, `shade_model`, `clamp_vertex_color`, `lights`, `fog`
+    (`None` without fog) and `background`.
 
-    **Raises:** `ValueError` that names the field, unless `nearest`; for too many lights
-    always.
+    **Raises:** `ValueError` that names the field, unless `nearest`; for more than 8
+    lights, or another kind of light, always.
     """
     if len(scene.lights) > MAX_LIGHTS:
         raise ValueError(
@@ -120,6 +133,7 @@ def scene_to_opengl(scene: Scene, *, nearest: bool = False) -> Parameters:
     if scene.shadows:
         lost(f"shadows: {FORMAT} throws none", nearest)
     local = scene.local_viewer
+    # `None`: local for a perspective camera.
     if local is None:
         local = not isinstance(scene.camera, OrthographicCamera)
     background = limited("background", scene.background, 1.0, FORMAT, nearest)
@@ -139,12 +153,16 @@ def scene_to_opengl(scene: Scene, *, nearest: bool = False) -> Parameters:
 def scene_from_opengl(
     surface: AbstractSurface, camera: AbstractCamera, state: Mapping[str, Any]
 ) -> Scene:
-    """The inverse of [`scene_to_opengl`][]: a scene in OpenGL's light.
+    """A scene from OpenGL's state: the inverse of [`scene_to_opengl`][].
 
-    **Arguments:** `surface`, a mesh; `camera`: see [`camera_to_opengl`][]; `state`:
-    what is left out is OpenGL's default.
+    **Arguments:**
 
-    **Raises:** `ValueError` for a name that OpenGL's state does not have.
+    - `surface`, `camera`: those of the scene, which are not in `state`.
+    - `state`: entries as [`scene_to_opengl`][] returns them; a missing one has OpenGL's
+        default.
+
+    **Raises:** `ValueError` for an unknown name, and for values that the parts of the
+    scene refuse.
     """
     defaults: Parameters = {
         "light_model": {},

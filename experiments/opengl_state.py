@@ -20,6 +20,7 @@ from phongfit.lights import AbstractLight, DirectionalLight, PointLight, SpotLig
 from phongfit.material import Material
 
 MAX_SPOT_EXPONENT = 128.0
+"""Largest GL_SPOT_EXPONENT that OpenGL accepts."""
 
 FOG_MODES: dict[FogMode, str] = {
     "linear": "GL_LINEAR",
@@ -29,7 +30,12 @@ FOG_MODES: dict[FogMode, str] = {
 
 
 def check_names(record: str, parameters: Mapping[str, Any], known: set[str]) -> None:
-    """Check that all names are known. **Raises:** `ValueError` for an unknown one."""
+    """Check that all names of `parameters` are in `known`.
+
+    **Arguments:** `record`: a word for `parameters`, for the message.
+
+    **Raises:** `ValueError` that names the first unknown one.
+    """
     for name in parameters:
         if name not in known:
             raise ValueError(f"{record}: it has no {name}; known: {sorted(known)}")
@@ -38,7 +44,8 @@ def check_names(record: str, parameters: Mapping[str, Any], known: set[str]) -> 
 def material_from_opengl(parameters: Mapping[str, Any]) -> Material:
     """A material from OpenGL's parameters; missing ones have OpenGL's defaults.
 
-    The inverse of [`material_to_opengl`][]. Alpha is dropped.
+    The inverse of [`material_to_opengl`][]. Of RGBA the alpha is dropped. GL_AMBIENT
+    and GL_DIFFUSE win over GL_AMBIENT_AND_DIFFUSE.
 
     **Raises:** `ValueError` for a name that materials do not have.
     """
@@ -64,22 +71,25 @@ def material_from_opengl(parameters: Mapping[str, Any]) -> Material:
 def light_to_opengl(light: AbstractLight, *, nearest: bool = False) -> Parameters:
     """A light as the arguments of `glLightfv` and `glLightf`.
 
-    Position and direction are in world space: set them while the modelview matrix holds
-    only the camera's transformation.
+    Position and direction are in world axes: set them while the modelview matrix is
+    that of the camera alone, from world to camera axes.
 
     **Arguments:**
 
     - `light`: a directional, point or spot light.
-    - `nearest`: as in [`material_to_opengl`][]; here for a spot's exponent above 128.
+    - `nearest`: replace a spot's exponent above 128 by 128, with a warning instead of
+        an error.
 
     **Returns:** GL_AMBIENT, GL_DIFFUSE, GL_SPECULAR, GL_POSITION (w = 0 for a
     direction); for point and spot lights also the three attenuations; for spot lights
-    also GL_SPOT_DIRECTION, GL_SPOT_EXPONENT and GL_SPOT_CUTOFF.
+    also GL_SPOT_DIRECTION, GL_SPOT_EXPONENT and GL_SPOT_CUTOFF (degrees from the axis).
 
-    **Raises:** `ValueError` that names the argument.
+    **Raises:** `ValueError` for another kind of light, and for a spot's exponent above
+    128 unless `nearest`.
     """
     if not isinstance(light, DirectionalLight | PointLight | SpotLight):
         raise ValueError(f"light: OpenGL has no {type(light).__name__}")
+    # `None`: the specular light is the diffuse one.
     specular = light.intensity if light.specular is None else light.specular
     parameters: Parameters = {
         "GL_AMBIENT": rgba(light.ambient),
@@ -97,15 +107,16 @@ def light_to_opengl(light: AbstractLight, *, nearest: bool = False) -> Parameter
     }
     if isinstance(light, PointLight):
         return parameters
-    spot = limited("exponent", light.exponent, MAX_SPOT_EXPONENT, FORMAT, nearest)
+    exponent = limited("exponent", light.exponent, MAX_SPOT_EXPONENT, FORMAT, nearest)
     return parameters | {
         "GL_SPOT_DIRECTION": _floats(light.axis),
-        "GL_SPOT_EXPONENT": float(spot),
+        "GL_SPOT_EXPONENT": float(exponent),
         "GL_SPOT_CUTOFF": float(light.cutoff),
     }
 
 
 def _floats(array: Float[Array, " n"]) -> list[float]:
+    """Numbers of an array as Python's floats."""
     return [float(value) for value in np.asarray(array)]
 
 
@@ -113,11 +124,14 @@ def light_from_opengl(parameters: Mapping[str, Any]) -> AbstractLight:
     """A light from OpenGL's parameters; missing ones have the defaults of GL_LIGHT0.
 
     The inverse of [`light_to_opengl`][]. `GL_POSITION` and `GL_SPOT_DIRECTION` are in
-    the world's axes, as if set while the modelview matrix is the camera's alone. Alpha
-    is dropped.
+    world axes, as if set while the modelview matrix is that of the camera alone. Of
+    RGBA the alpha is dropped.
 
-    **Raises:** `ValueError` for a name that lights do not have, or for a spot whose
-    position is at infinity (w = 0).
+    **Returns:** a directional light for a position with w = 0; otherwise a point light
+    for GL_SPOT_CUTOFF = 180, and a spot for any other.
+
+    **Raises:** `ValueError` for a name that lights do not have, a position that is not
+    four numbers, or a spot whose position is at infinity (w = 0).
     """
     defaults = {
         "GL_AMBIENT": (0.0, 0.0, 0.0),
@@ -134,27 +148,28 @@ def light_from_opengl(parameters: Mapping[str, Any]) -> AbstractLight:
     check_names("light", parameters, set(defaults))
     values = defaults | dict(parameters)
     intensity = values["GL_DIFFUSE"][:3]
-    own = {
+    colours = {
         "specular": values["GL_SPECULAR"][:3],
         "ambient": values["GL_AMBIENT"][:3],
     }
     homogeneous = np.asarray(values["GL_POSITION"], float)
     if homogeneous.shape != (4,):
         raise ValueError(f"GL_POSITION: expected shape (4,), got {homogeneous.shape}")
-    spot = values["GL_SPOT_CUTOFF"] != 180
+    # A cone of 180° to each side of its axis is no cone.
+    is_spot = values["GL_SPOT_CUTOFF"] != 180
     if homogeneous[3] == 0:
-        if spot:
+        if is_spot:
             raise ValueError(
                 "GL_SPOT_CUTOFF: expected 180, since a directional light (w = 0) "
                 "cannot be a spot"
             )
-        return DirectionalLight(homogeneous[:3], intensity, **own)
+        return DirectionalLight(homogeneous[:3], intensity, **colours)
     falloff = [
         values[f"GL_{name}_ATTENUATION"] for name in ("CONSTANT", "LINEAR", "QUADRATIC")
     ]
     position = homogeneous[:3] / homogeneous[3]
-    if not spot:
-        return PointLight(position, intensity, attenuation=falloff, **own)
+    if not is_spot:
+        return PointLight(position, intensity, attenuation=falloff, **colours)
     return SpotLight(
         position,
         values["GL_SPOT_DIRECTION"],
@@ -162,16 +177,17 @@ def light_from_opengl(parameters: Mapping[str, Any]) -> AbstractLight:
         cutoff=values["GL_SPOT_CUTOFF"],
         exponent=values["GL_SPOT_EXPONENT"],
         attenuation=falloff,
-        **own,
+        **colours,
     )
 
 
 def fog_to_opengl(fog: Fog | None, *, nearest: bool = False) -> Parameters | None:
     """Fog as names and values of `glFogfv`, such as `GL_FOG_MODE`; `None` for no fog.
 
-    Density is per world unit; start and end are in world units.
+    Density is per world unit; start and end are depths in world units.
 
-    **Arguments:** `nearest`: cut a colour above 1 off at 1, with a warning.
+    **Arguments:** `nearest`: replace a colour above 1 by 1, with a warning instead of
+    an error.
 
     **Raises:** `ValueError` for a colour above 1, unless `nearest`.
     """
@@ -190,7 +206,7 @@ def fog_to_opengl(fog: Fog | None, *, nearest: bool = False) -> Parameters | Non
 def fog_from_opengl(parameters: Mapping[str, Any] | None) -> Fog | None:
     """Fog from OpenGL's parameters; missing ones have OpenGL's defaults.
 
-    The inverse of [`fog_to_opengl`][].
+    The inverse of [`fog_to_opengl`][]: `None` is no fog.
 
     **Raises:** `ValueError` for a name or a mode that fog does not have.
     """

@@ -18,7 +18,10 @@ PictureFile = Annotated[Path, tyro.conf.arg(metavar="FILE")]
 def check_outputs(picture: Path | None, json: Path | None) -> None:
     """Check that these files can be written, before a long computation.
 
-    **Raises:** `OSError` or `ValueError` that names the file, and says why not.
+    **Arguments:** `picture`, `json`: `None` for a file that is not wanted.
+
+    **Raises:** `OSError` if a file cannot be written, `ValueError` if `picture` has a
+    suffix that Matplotlib does not write; both name the file.
     """
     for path in (picture, json):
         if path is not None:
@@ -32,13 +35,14 @@ def check_outputs(picture: Path | None, json: Path | None) -> None:
 
 
 def print_warnings(console: Console, sentences: Iterable[str]) -> None:
-    """Print warnings and failed checks without markup, since codes are in brackets."""
+    """Print warnings and failed checks, one a line."""
+    # Without markup, since rich would take codes in brackets for it.
     for words in sentences:
         console.print(f"  ! {words}", markup=False, highlight=False)
 
 
 def save_numbers(path: Path | None, numbers: Any) -> None:
-    """Write numbers as JSON, if a file is given."""
+    """Write numbers as JSON; nothing if `path` is `None`."""
     if path is not None:
         write_json(path, numbers)
 

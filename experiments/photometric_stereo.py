@@ -41,19 +41,20 @@ from phongfit.rendering.film import Encoding, encode
 
 # Luma of BT.601, as the published recipe has it.
 LUMA = np.array([0.299, 0.587, 0.114])
-# Polished metal and paint: as in the other experiments on photographs.
+# Wider than the default for ρ_d and ρ_s: polished metal and paint exceed 1.
 BOUNDS = {"diffuse": (0.0, 2.0), "specular": (0.0, 8.0), "shininess": (1.0, 1000.0)}
+# File of the true normals in an RTI folder.
 TRUTH = "normals.png"
 
 
 @dataclasses.dataclass(frozen=True)
 class Photos:
-    """Photographs and the truth.
+    """Photographs of an object, and its true normals.
 
-    - `photographs`: with the scenes that hold their lamps.
-    - `truth`: (H, W, 3), unit normals in the camera's axes.
-    - `mask`: (H, W), where it is known.
-    - `stored`: whether least squares is also tried on values as stored.
+    - `photographs`: files, and scenes with their lamps;
+    - `truth`: true unit normals in the camera's axes (x right, y up, z to the camera);
+    - `mask`: pixels where the truth is known;
+    - `stored`: whether least squares is also tried on values as stored, not decoded.
     """
 
     photographs: Photographs
@@ -63,9 +64,13 @@ class Photos:
 
 
 def read(folder: Path, encoding: Encoding | None) -> Photos:
-    """Read a folder in one of the two layouts.
+    """Read a folder in DiLiGenT's layout, or an RTI folder.
 
-    **Raises:** `ValueError` that names what is missing.
+    **Arguments:** `encoding`: of an RTI folder's photographs; `None` if their format
+    fixes it.
+
+    **Raises:** `ValueError` that names the folder, if it has no true normals, or the
+    file that cannot be read.
     """
     if is_diligent(folder):
         data = open_diligent(folder)
@@ -80,6 +85,7 @@ def read(folder: Path, encoding: Encoding | None) -> Photos:
             f"{TRUTH} beside the photographs"
         )
     data = open_captured(source, encoding, normals="fit")
+    # Stored as (normal + 1) / 2; outside the object the colour is no unit vector.
     normals = 2 * np.asarray(pf.read_image(truth, "linear"), float) - 1
     length = np.linalg.norm(normals, axis=-1)
     mask = abs(length - 1) < 0.1
@@ -88,11 +94,12 @@ def read(folder: Path, encoding: Encoding | None) -> Photos:
 
 
 def every_nth(photos: Photos, every: int) -> Photos:
-    """Keep every `every`-th photograph, from the first on."""
+    """Keep one of every `every` photographs, beginning with the first."""
     data, pick = photos.photographs, slice(None, None, every)
     chosen = range(len(data.names))[pick]
 
     def read_one(number: int):
+        """Read one of the kept photographs, counted from 0."""
         return data.read(chosen[number])
 
     part = dataclasses.replace(
@@ -108,7 +115,12 @@ def least_squares(
     images: Float[np.ndarray, "images height width 3"],
     directions: Float[np.ndarray, "images 3"],
 ) -> Float[np.ndarray, "height width 3"]:
-    """Normals of a matte surface, by the published method: from luma clipped at 1."""
+    """Normals of a matte surface by least squares, from luma clipped at 1.
+
+    **Arguments:** `directions`: to the lamps, of the length of their intensity.
+
+    **Returns:** unit normals, or 0 where a pixel is black.
+    """
     grey = np.minimum(images @ LUMA, 1)
     normals = np.einsum("dk,khw->hwd", np.linalg.pinv(directions), grey)
     length = np.linalg.norm(normals, axis=-1, keepdims=True)
@@ -126,9 +138,13 @@ def angles(
 def compare(
     photos: Photos, materials: int | Literal["auto"] | None = None
 ) -> tuple[dict[str, Any], pf.Maps]:
-    """Mean angular errors of both methods, in degrees, and phongfit's maps.
+    """Angular errors of both methods, in degrees, and phongfit's maps.
 
-    **Arguments:** `materials`: as in [`fit_maps`][phongfit.fit_maps].
+    **Arguments:** `materials`: number of materials that the pixels share; `"auto"`
+    finds it; `None`: each pixel has its own.
+
+    **Returns:** numbers by name; `identified` and `lamps_in_a_plane` are fractions of
+    the pixels with a known truth.
     """
     data = photos.photographs
     directions = np.array([_direction(scene) for scene in data.scenes])
@@ -136,6 +152,7 @@ def compare(
     images = np.stack(loaded.images)
 
     def matte(values: np.ndarray) -> float:
+        """Mean angular error of least squares on these values, degrees."""
         return float(angles(least_squares(values, directions), photos).mean())
 
     numbers: dict[str, Any] = {
@@ -157,7 +174,7 @@ def compare(
         mask=masks,
         film=loaded.films,
         normals="fit",
-        # As single-pass methods, which the table compares.
+        # One pass, as the published methods that the table compares have.
         passes=1,
         unknowns=("diffuse", "specular", "shininess"),
         # A highlight has the lamp's colour, and few lamps identify a ρ_s for each
@@ -183,6 +200,7 @@ def compare(
 
 
 def _direction(scene: pf.Scene) -> np.ndarray:
+    """Direction to the scene's only lamp, of the length of its mean intensity."""
     (light,) = scene.lights
     assert isinstance(light, pf.DirectionalLight)
     direction = np.asarray(light.direction, float)

@@ -36,7 +36,13 @@ PARAMETERS = ("ambient", "diffuse", "specular", "shininess")
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """One target: a material, its lights and what happens to the image."""
+    """One target: a material, its lights, and the noise of its images.
+
+    - `lights`: `None`: four directional ones, see [`make_dataset`][];
+    - `noise`: standard deviation in linear light, where white is 1;
+    - `images`: number of images, among which the lights are distributed;
+    - `specular`: model of the highlight.
+    """
 
     name: str
     material: pf.Material
@@ -51,13 +57,13 @@ def cases() -> list[Case]:
     plastic = pf.Material((0.55, 0.25, 0.15), 0.3, 10.0, (0.5, 0.25, 0.15))
     phong = pf.Material((0.1, 0.35, 0.5), 0.35, 25.0, (0.2, 0.5, 0.6))
     matte = pf.Material((0.35, 0.5, 0.3), 0.0, 32.0, (0.4, 0.5, 0.3))
-    one = make_lights(1, intensity=0.9)
+    one_light = make_lights(1, intensity=0.9)
     return [
-        Case("plastic, 1 light, 8 bits", plastic, one),
-        Case("plastic, 1 light, noise 1 %", plastic, one, 0.01),
+        Case("plastic, 1 light, 8 bits", plastic, one_light),
+        Case("plastic, 1 light, noise 1 %", plastic, one_light, 0.01),
         Case("plastic, 4 lights in 1 image, noise 1 %", plastic, None, 0.01),
         Case("Phong's model, point light, 8 bits", phong, make_lights(1, "point")),
-        Case("brass, 1 light, noise 1 %", pf.preset("brass"), one, 0.01),
+        Case("brass, 1 light, noise 1 %", pf.preset("brass"), one_light, 0.01),
         Case("chrome, 4 images, noise 1 %", pf.preset("chrome"), None, 0.01, 4),
         Case(
             "gold, 3 kinds of light, noise 2 %",
@@ -65,12 +71,12 @@ def cases() -> list[Case]:
             make_lights(3, "mixed", intensity=0.5),
             0.02,
         ),
-        Case("matte, 1 light, noise 1 %", matte, one, 0.01),
+        Case("matte, 1 light, noise 1 %", matte, one_light, 0.01),
     ]
 
 
 def target(case: Case, resolution: int, seed: int) -> Dataset:
-    """The images of a case."""
+    """The images of a case: linear, 8 bits, `resolution` × `resolution` pixels."""
     return make_dataset(
         case.material,
         key=jax.random.key(seed),
@@ -86,7 +92,10 @@ def target(case: Case, resolution: int, seed: int) -> Dataset:
 
 
 def numbers(case: Case, fit: pf.Fit) -> dict:
-    """Truth, estimate and error of every unknown, and what is wrong with them."""
+    """Truth, estimate and error of every unknown, in the order of `labels`.
+
+    `wrong` has a sentence for each failed check.
+    """
     truth = truth_values(case.material, fit.labels)
     deviation = np.abs(fit.values - truth)
     failed_checks = [
@@ -118,14 +127,15 @@ def truth_values(material: pf.Material, labels: Sequence[str]) -> np.ndarray:
     channels = ("red", "green", "blue")
     values = []
     for label in labels:
-        leaf, _, channel = label.partition(".")
-        value = np.broadcast_to(np.asarray(getattr(material, leaf)), (3,))
+        name, _, channel = label.partition(".")
+        value = np.broadcast_to(np.asarray(getattr(material, name)), (3,))
+        # A label without a channel is of a parameter that all channels share.
         values.append(value[channels.index(channel)] if channel else value[0])
     return np.array(values, float)
 
 
 def show(result: dict) -> Table:
-    """Truth against estimate as a table."""
+    """Table of truth and estimate, from a result of [`numbers`][]."""
     state = f"converged in {result['steps']} steps" if result["converged"] else "FAILED"
     table = Table(title=f"{result['name']}: {state}", title_justify="left")
     for column in ("", "truth", "estimate", "± std. error", "off by"):

@@ -1,4 +1,4 @@
-"""Scenes that other renderers drew: their files.
+"""Reading scenes with the images that other renderers made of them.
 
 `NAME.json` describes a scene, `NAME.npz` contains its mesh and image. There are two
 kinds: scenes of OpenGL's fixed-function pipeline, and scenes of a ray tracer (POV-Ray).
@@ -21,7 +21,7 @@ from phongfit.material import stack_materials
 
 Arrays = dict[str, np.ndarray]
 
-# Folders of the references that come with the project, from the current folder.
+# Folders of the references that come with the project, relative to the current folder.
 REFERENCES = Path(__file__).parents[1] / "tests" / "data" / "references"
 KEPT = tuple(Path(os.path.relpath(REFERENCES / by)) for by in ("opengl", "povray"))
 
@@ -32,20 +32,28 @@ OPENGL_STATE = (
     "lights",
     "background",
 )
+"""Entries of a scene's JSON that are entries of OpenGL's state as they stand."""
 
 
 class VertexColors(NamedTuple):
-    """Light as it was computed at some vertices, before interpolation and fog."""
+    """Light at some of a mesh's vertices, before interpolation and fog.
+
+    - `vertices`: indices of these vertices;
+    - `colors`: light at each of them, where 1 is white.
+    """
 
     vertices: Int[np.ndarray, " n"]
     colors: Float[np.ndarray, "n 3"]
 
 
 class Reference(NamedTuple):
-    """A scene with its material, and what another renderer made of it.
+    """A scene with its material, and the image that another renderer made of it.
 
-    `covered` is true where its image shows the mesh; `bound` is the largest difference
-    of a pixel that counts as agreement.
+    - `film`: makes phongfit's image comparable with `image`;
+    - `covered`: true where `image` shows the mesh;
+    - `vertex_colors`: the other renderer's light at vertices; `None` for a ray tracer,
+        which has none;
+    - `bound`: largest difference of a pixel that counts as agreement, where 1 is white.
     """
 
     name: str
@@ -59,7 +67,10 @@ class Reference(NamedTuple):
 
 
 def find_references(folder: Path) -> list[Path]:
-    """Paths of the scenes in a folder. **Raises:** `ValueError` if there are none."""
+    """Paths of the scenes (`NAME.json`) in a folder, sorted.
+
+    **Raises:** `ValueError` if there are none.
+    """
     paths = sorted(folder.glob("*.json"))
     if not paths:
         raise ValueError(f"{folder}: there is no NAME.json of a scene in this folder")
@@ -86,6 +97,7 @@ def read_reference(path: Path) -> Reference:
 
 
 def _opengl(name: str, record: dict[str, Any], arrays: Arrays) -> Reference:
+    """A scene of OpenGL's pipeline, from its JSON and its arrays."""
     state = {name: record[name] for name in OPENGL_STATE}
     state["fog"] = _parameters(record["fog"])
     mesh = pf.Mesh(arrays["vertices"], arrays["faces"], arrays["normals"])
@@ -103,12 +115,17 @@ def _opengl(name: str, record: dict[str, Any], arrays: Arrays) -> Reference:
 
 
 def _opengl_camera(record: dict[str, Any]) -> pf.geometry.AbstractCamera:
+    """The camera of an OpenGL scene.
+
+    **Raises:** `ValueError` for a projection off the axis or without square pixels,
+    which phongfit's cameras do not have.
+    """
     projection = record["projection"]
-    place = record["eye"], record["target"], record["up"]
+    pose = record["eye"], record["target"], record["up"]
     width, height = record["width"], record["height"]
     if projection["kind"] == "perspective":
         return pf.PerspectiveCamera.look_at(
-            *place, width=width, height=height, fov_y=projection["fovy_degrees"]
+            *pose, width=width, height=height, fov_y=projection["fovy_degrees"]
         )
     right, top = projection["right"], projection["top"]
     if projection["left"] != -right or projection["bottom"] != -top:
@@ -116,25 +133,27 @@ def _opengl_camera(record: dict[str, Any]) -> pf.geometry.AbstractCamera:
     if not np.isclose(right / top, width / height):
         raise ValueError("projection: expected square pixels, got others")
     return pf.OrthographicCamera.look_at(
-        *place, width=width, height=height, view_height=2 * top
+        *pose, width=width, height=height, view_height=2 * top
     )
 
 
 def _parameters(record: dict[str, Any] | None) -> dict[str, Any] | None:
-    """Keep the names of OpenGL; the other entries are notes for the reader."""
+    """Entries with OpenGL's names; the others are notes. `None` remains `None`."""
     if record is None:
         return None
     return {name: value for name, value in record.items() if name.startswith("GL_")}
 
 
 def _vertex_colors(shade_model: str, arrays: Arrays) -> VertexColors:
-    # A flat face is lit at its last vertex.
+    """Light at the vertices where OpenGL computes it for this shade model."""
+    # With flat shading a face is lit at its last vertex.
     faces = arrays["faces"]
     lit = faces[:, 2] if shade_model == "GL_FLAT" else np.unique(faces)
     return VertexColors(lit, arrays["vertex_colors"][lit])
 
 
 def _raytraced(name: str, record: dict[str, Any], arrays: Arrays) -> Reference:
+    """A scene of a ray tracer (POV-Ray), from its JSON and its arrays."""
     camera, model = record["camera"], record["specular_model"]
     models = {"phong": pf.Phong(), "blinn-phong": pf.BlinnPhong()}
     if model not in models:
@@ -177,5 +196,5 @@ def _raytraced(name: str, record: dict[str, Any], arrays: Arrays) -> Reference:
 def covered_pixels(
     image: Float[np.ndarray, "height width 3"], background: Float[np.ndarray, "3"]
 ) -> Bool[np.ndarray, "height width"]:
-    """Mask of the pixels whose 16-bit colour differs from the background."""
+    """Pixels that differ from the background by more than half a step of 16 bits."""
     return np.asarray(np.any(abs(image - background) > 0.5 / 65535, axis=-1))

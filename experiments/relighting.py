@@ -40,7 +40,9 @@ from phongfit.files.seen import camera_of
 from phongfit.geometry.planes import plane_before
 from phongfit.rendering.film import Encoding, decode, encode
 
+# Width and height of synthetic photographs in pixels, and with `--small`.
 SIZE, SMALL = 96, 32
+# Number of synthetic photographs that are fitted, and that are predicted.
 LAMPS, LEFT_OUT = 49, 12
 
 Folders = Annotated[
@@ -49,14 +51,21 @@ Folders = Annotated[
 
 
 class LitPhotographs(NamedTuple):
-    """Photographs under one lamp each: directions of lamps, and values as stored."""
+    """Photographs under one lamp each.
+
+    `directions` are unit vectors to the lamps in the camera's axes (x right, y up, z to
+    the camera); `images` are values in [0, 1] as files have them, not decoded.
+    """
 
     directions: Float[np.ndarray, "lamps 3"]
     images: Float[np.ndarray, "lamps height width 3"]
 
 
 class Split(NamedTuple):
-    """Photographs to fit and photographs to predict, with their encoding."""
+    """Photographs to fit and photographs to predict, with their encoding.
+
+    `name` is that of the data set.
+    """
 
     name: str
     fitted: LitPhotographs
@@ -65,7 +74,7 @@ class Split(NamedTuple):
 
 
 def polynomials(directions: Float[np.ndarray, "lamps 3"]) -> np.ndarray:
-    """Basis of a polynomial texture map: x², y², xy, x, y, 1.
+    """Basis of a polynomial texture map: x², y², xy, x, y, 1, of shape (lamps, 6).
 
     ??? cite "Source"
         Malzbender, Gelb and Wolters, *Polynomial texture maps*, SIGGRAPH 2001.
@@ -75,27 +84,35 @@ def polynomials(directions: Float[np.ndarray, "lamps 3"]) -> np.ndarray:
 
 
 def harmonics(directions: Float[np.ndarray, "lamps 3"], order: int) -> np.ndarray:
-    """Basis of hemispherical harmonics up to an order: (order + 1)² of them.
+    """Basis of hemispherical harmonics up to `order`, of shape (lamps, (order + 1)²).
+
+    Spherical harmonics whose argument cos θ is replaced by 2 cos θ − 1, so that they
+    are orthonormal on the hemisphere z ≥ 0.
 
     ??? cite "Source"
         Gautron et al., *A novel hemispherical basis for accurate and efficient
         rendering*, EGSR 2004.
     """
     x, y, z = directions.T
-    turn, up = np.arctan2(y, x), 2 * np.clip(z, 0, 1) - 1
+    azimuth, shifted_cosine = np.arctan2(y, x), 2 * np.clip(z, 0, 1) - 1
     columns = []
     for band in range(order + 1):
         for m in range(-band, band + 1):
             k = abs(m)
             scale = (2 * band + 1) * math.factorial(band - k) / math.factorial(band + k)
-            legendre = math.sqrt(scale / (2 * math.pi)) * lpmv(k, band, up)
-            wave = np.cos(k * turn) if m >= 0 else np.sin(k * turn)
+            legendre = math.sqrt(scale / (2 * math.pi)) * lpmv(k, band, shifted_cosine)
+            wave = np.cos(k * azimuth) if m >= 0 else np.sin(k * azimuth)
             columns.append(legendre * wave * (math.sqrt(2) if m else 1))
     return np.stack(columns, axis=-1)
 
 
 def predict_by_regression(basis: Any, data: Split) -> Float[np.ndarray, "lamps h w 3"]:
-    """Predict the left-out photographs by least squares, for each pixel and channel."""
+    """Predict the left-out photographs by linear regression on a basis of directions.
+
+    The weights of the basis are fitted for each pixel and channel, to stored values.
+
+    **Arguments:** `basis`: function from directions (lamps, 3) to (lamps, functions).
+    """
     fitted_basis = basis(data.fitted.directions)
     predicted_basis = basis(data.left_out.directions)
     images = data.fitted.images
@@ -111,7 +128,16 @@ def predict_by_maps(
     fov: float | None = None,
     passes: int = 1,
 ) -> dict[str, Float[np.ndarray, "lamps h w 3"]]:
-    """Predict the left-out photographs by maps, without and with residual images."""
+    """Predict the left-out photographs by maps, without and with residual images.
+
+    **Arguments:**
+
+    - `loss`, `passes`: of [`fit_maps`][phongfit.fit_maps].
+    - `fov`: the camera's angle of view from the lower to the upper edge, degrees;
+        `None` or 0: parallel rays.
+
+    **Returns:** stored values in [0, 1], by method: `MAPS`, `BOTH`.
+    """
     height, width = data.fitted.images.shape[1:3]
     camera = camera_of(height, width, None, fov)
     camera = camera or pf.OrthographicCamera(width, height)
@@ -144,21 +170,23 @@ REGRESSIONS: dict[str, Callable[[Split], np.ndarray]] = {
 }
 
 MAPS, BOTH = "maps", "maps, photographs"
+"""Names of prediction by maps, and by maps plus interpolated residual images."""
 
 
 def psnr(predicted: np.ndarray, true: np.ndarray) -> float:
-    """Peak signal-to-noise ratio of values in [0, 1], dB."""
+    """Peak signal-to-noise ratio of values clipped to [0, 1], dB: 10 log₁₀(1 / MSE)."""
     mean_square = float(np.mean((np.clip(predicted, 0, 1) - true) ** 2))
     return 10 * math.log10(1 / max(mean_square, 1e-12))
 
 
 def read_photographs(folder: Path) -> LitPhotographs:
-    """A folder's photographs, in the order of its list.
+    """A folder's photographs, in the order of its .lp file.
 
-    The count in a list's first line may be wrong, so it is not read. Lines whose
+    The count in the first line of an .lp may be wrong, so it is not read. Lines whose
     photograph is not in the folder are left out.
 
-    **Raises:** `ValueError` that names the folder.
+    **Raises:** `ValueError` that names the folder, if it has no .lp file or none of the
+    photographs that this names.
     """
     lists = sorted(folder.glob("*.lp"))
     if not lists:
@@ -175,35 +203,45 @@ def read_photographs(folder: Path) -> LitPhotographs:
     paths = [folder / names[at] for at in present]
     directions = np.array(vectors)[present]
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-    # Values as stored: linear leaves them as they are.
+    # Values as stored: reading them as linear does not decode them.
     images = [np.asarray(pf.read_image(path, "linear")) for path in paths]
     return LitPhotographs(directions, np.stack(images))
 
 
 def read(folder: Path) -> Split:
-    """Read a folder: the photographs to fit, and those left out."""
+    """Read a folder: the photographs to fit, and those left out.
+
+    With folders `Dome` and `Test` these are the two; otherwise every sixth photograph,
+    from the fourth on, is left out.
+
+    **Raises:** as [`read_photographs`][].
+    """
     if (folder / "Dome").is_dir() and (folder / "Test").is_dir():
         parts = read_photographs(folder / "Dome"), read_photographs(folder / "Test")
         return Split(folder.name, *parts, "srgb")
-    every = read_photographs(folder)
-    is_left_out = np.zeros(len(every.directions), bool)
+    whole = read_photographs(folder)
+    is_left_out = np.zeros(len(whole.directions), bool)
     is_left_out[3::6] = True
-    return Split(
-        folder.name, _select(every, ~is_left_out), _select(every, is_left_out), "srgb"
-    )
+    parts = _select(whole, ~is_left_out), _select(whole, is_left_out)
+    return Split(folder.name, *parts, "srgb")
 
 
 def _select(photographs: LitPhotographs, which: Any) -> LitPhotographs:
+    """A part of the photographs; `which` is any index of NumPy for the first axis."""
     return LitPhotographs(photographs.directions[which], photographs.images[which])
 
 
 def synthetic_plate(size: int) -> Split:
-    """A bumpy, shiny plate with its own shadows, rendered as sRGB of 8 bits."""
+    """Photographs of a bumpy, shiny plate with cast shadows, as 8-bit sRGB.
+
+    **Arguments:** `size`: width and height in pixels, and in world units.
+    """
     y, x = (np.mgrid[:size, :size] + 0.5) / size
     height = 0.05 * size * np.sin(9 * x) * np.sin(11 * y)
     height += 0.06 * size * np.exp(-80 * ((x - 0.5) ** 2 + (y - 0.4) ** 2))
-    down, right = np.gradient(height)
-    normals = np.stack([-right, down, np.ones_like(x)], axis=-1)
+    slope_down, slope_right = np.gradient(height)
+    # Rows run down, and y runs up.
+    normals = np.stack([-slope_right, slope_down, np.ones_like(x)], axis=-1)
     camera = pf.OrthographicCamera(size, size, view_height=float(size))
     surface = pf.geometry.HeightField(height, np.ones((size, size), int), camera)
     checks = (np.floor(8 * x) + np.floor(8 * y)) % 2
@@ -244,6 +282,7 @@ def draw(data: Split, predictions: dict[str, np.ndarray]) -> Figure:
 
 
 def _mean_psnr(images: np.ndarray, data: Split) -> float:
+    """Mean PSNR of predicted `images` over the left-out photographs, dB."""
     pairs = zip(images, data.left_out.images, strict=True)
     return float(np.mean([psnr(a, b) for a, b in pairs]))
 
@@ -261,10 +300,10 @@ def main(
 
     Args:
         folders: Folders of photographs with an .lp, or with folders Dome and Test of
-        them.
-        loss: Loss of the maps' fit. With shorter tails, more light that the model lacks
-        (interreflections, the wide foot of a highlight) counts as an outlier: tukey is
-        better on a smooth glossy panel, cauchy on a statue.
+            them. Default: a synthetic data set.
+        loss: Loss of the maps' fit. A robust loss leaves out light that the model lacks
+            (interreflections, the wide foot of a highlight) as outliers: tukey leaves
+            out more and is better on a smooth glossy panel, cauchy on a statue.
         fov: The camera's angle of view, from the lower to the upper edge. Default:
             parallel rays.
         passes: Passes of the maps' fit; all but the first leave out samples in shadow.

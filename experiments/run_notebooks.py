@@ -16,6 +16,7 @@ from phongfit.cli import run
 from phongfit.files.outputs import replacing
 
 FOLDER = Path(__file__).parent / "notebooks"
+# Time limit of one cell.
 SECONDS = 300
 
 
@@ -30,18 +31,22 @@ def read(path: Path) -> NotebookNode:
 
 
 def execute(path: Path, environment: Mapping[str, str]) -> NotebookNode:
-    """A notebook with the outputs of a new run, in a kernel with this environment.
+    """Run a notebook in a new kernel, and return it with the outputs of this run.
+
+    **Arguments:** `environment`: the kernel's environment variables.
 
     **Raises:** `nbclient.exceptions.CellExecutionError` with the cell that fails.
     """
     notebook = read(path)
+    # Metadata of cells would differ from editor to editor.
     for cell in notebook.cells:
         cell.metadata = NotebookNode()
     client = NotebookClient(
         notebook,
         timeout=SECONDS,
         kernel_name="python3",
-        # A kernel of this machine alone need not warn that nothing is encrypted.
+        # Hides ipykernel's warning that its connection is not encrypted: the connection
+        # does not leave this machine.
         extra_arguments=["--log-level=ERROR"],
         # Times would differ in every run.
         record_timing=False,

@@ -1,8 +1,9 @@
 """Question: what do flat and Gouraud shading lose next to Phong shading on one mesh?
 
 A ball of ever more triangles is shaded with all three methods. Measured, under lamps
-from many sides: the highlight's peak and energy as a share of Phong shading's on the
-same mesh; how much the slope of the light jumps where two faces meet, which the eye
+from many sides: the highlight's peak and its energy (the sum of its pixels) as a
+fraction of Phong shading's on the same mesh; how much the slope of the light jumps
+where two faces meet, which the eye
 sees as Mach bands; and the time of an image, with the methods timed alternately.
 """
 
@@ -30,22 +31,26 @@ LINES = {
     "Gouraud": (style.VERMILION, "o"),
     "Phong": (style.BLUE, "^"),
 }
+"""Colour and marker of each method, where both are drawn."""
+
 ROWS = (6, 12, 24, 48, 96)
 """Numbers of faces from pole to pole; there are twice as many around."""
 
 EXPONENTS = (10.0, 50.0, 200.0)
+"""Exponents f of the highlights."""
+
 GOOD = 0.05
-"""A loss of the peak that is good enough."""
+"""Largest fraction of the highlight's peak whose loss is good enough."""
 
 TIMED = (1, 8)
-"""Lamps in an image that is timed."""
+"""Numbers of lamps in the images that are timed."""
 
 UNCLAMPED = pf.Film(clamp=False)
 
 
 @dataclasses.dataclass(frozen=True)
 class Size:
-    """Pixels of an image, lamps, and runs that are timed."""
+    """Pixels along an image's side, number of lamps, and of runs that are timed."""
 
     pixels: int
     lamps: int
@@ -56,14 +61,18 @@ class Size:
 class Result:
     """Measurements of all meshes.
 
-    - `edge`: length of the mesh's edges, degrees, for each of `ROWS`;
-    - `half_width`: of the highlight, degrees, for each of `EXPONENTS`;
-    - `peak`, `energy`: over Phong shading's, by method, (rows, exponents, lamps);
-    - `slope_jump`: root mean square over the edges between faces, light per radius, by
-        method; `value_jump`: the same of the light itself;
-    - `seconds`: for an image, by method, for each of `TIMED`; `trace`: for its
-        geometry;
-    - `fine_enough`: edge over half width where Gouraud's loss is `GOOD`, by exponent.
+    - `edge`: length of the mesh's edges as an angle at the ball's centre, degrees, for
+        each of `ROWS`;
+    - `half_width`: angle from the highlight's centre to half its height, degrees, for
+        each of `EXPONENTS`;
+    - `peak`, `energy`: largest pixel and sum of the highlight's pixels, over those of
+        Phong shading: by method, (rows, exponents, lamps);
+    - `slope_jump`: jump of the light's slope from face to face, light per radius of the
+        ball, by method, for each of `ROWS`; `value_jump`: jump of the light itself;
+    - `seconds`: for an image, by method, for each of `TIMED`; `trace`: seconds to trace
+        its geometry;
+    - `fine_enough`: largest edge / half width at which Gouraud shading loses no more
+        than `GOOD` of the peak, for each of `EXPONENTS`; NaN if there is none.
     """
 
     edge: np.ndarray
@@ -84,7 +93,11 @@ def ball(
     direction: Any,
     background: float = 0.0,
 ) -> pf.Scene:
-    """A ball of triangles under one lamp, or under several."""
+    """A ball of triangles under lamps, shaded by a method.
+
+    **Arguments:** `rows`: rows of faces from pole to pole; `method`: one of `METHODS`;
+    `direction`: to the lamp, (3,), or to several, (lamps, 3).
+    """
     return pf.Scene(
         unit_ball(rows),
         camera,
@@ -98,6 +111,7 @@ def measure(size: Size) -> Result:
     """Compare the three methods on balls of several mesh sizes."""
 
     def by_method(rows: list[Any], k: int) -> dict[str, np.ndarray]:
+        """Entry `k` of each mesh's result, stacked over the meshes."""
         return {name: np.array([row[name][k] for row in rows]) for name in METHODS}
 
     edge = 180 / np.array(ROWS)  # 180° from pole to pole
@@ -137,6 +151,7 @@ def highlight(rows: int, size: Size) -> dict[str, tuple[np.ndarray, np.ndarray]]
     # What a pixel sees depends on neither lamp nor shading, so it is traced once.
     gbuffer = ball(rows, "Phong", camera, directions[0]).trace()
     measured = {}
+    # All channels are equal, so one is kept.
     for name in METHODS:
         images = np.array(
             [
@@ -159,15 +174,18 @@ def highlight(rows: int, size: Size) -> dict[str, tuple[np.ndarray, np.ndarray]]
 
 
 def edge_jumps(rows: int, pixels: int) -> dict[str, tuple[float, float]]:
-    """Jumps of slope and value of a matte ball's light from face to face, RMS.
+    """Jumps of a matte ball's light from face to face: root mean squares, by method.
 
-    Along the rows of a close-up: where two pixels of one face are followed by two of
-    the next one, the slopes of the two pairs are compared.
+    Along the rows of a close-up of 1 × 1 radii: where two pixels of one face are
+    followed by two of the next one, the slopes of the two pairs are compared.
+
+    **Returns:** jump of the slope, light per radius; jump of the light itself.
     """
     near = pf.OrthographicCamera(pixels, pixels, view_height=1.0)
     lamp = np.array([0.5, 0.6, 1.0])
     gbuffer = ball(rows, "Phong", near, lamp).trace()
     face = np.asarray(gbuffer.face)
+    # Faces of each four neighbours in a row.
     a, b, c, d = (face[:, k : face.shape[1] - 3 + k] for k in range(4))
     meet = (a == b) & (c == d) & (b != c)
     pixel = 1.0 / pixels
@@ -179,9 +197,11 @@ def edge_jumps(rows: int, pixels: int) -> dict[str, tuple[float, float]]:
             film=UNCLAMPED,
             gbuffer=gbuffer,
         )
+        # From pixel to pixel along rows, in one of the channels, which are all equal.
         step = np.diff(np.asarray(image, float)[..., 0], axis=1)
         slope = (step[:, 2:] - step[:, :-2])[meet] / pixel
-        # Minus the mean change within the two faces, which the slopes cause.
+        # The change across the edge, minus the part that the slopes of both faces
+        # cause.
         value = (step[:, 1:-1] - (step[:, 2:] + step[:, :-2]) / 2)[meet]
         measured[name] = rms(slope), rms(value)
     return measured
@@ -193,7 +213,10 @@ def rms(values: np.ndarray) -> float:
 
 
 def crossing(x: np.ndarray, y: np.ndarray, level: float) -> float:
-    """Largest x below which y stays under `level`, between points on log scales."""
+    """Largest x below which y stays at or under `level`, interpolated on log scales.
+
+    NaN if y is above `level` at the smallest x, or nowhere.
+    """
     order = np.argsort(x)
     x, y = x[order], np.maximum(y[order], 1e-12)
     above = np.flatnonzero(y > level)
@@ -206,7 +229,12 @@ def crossing(x: np.ndarray, y: np.ndarray, level: float) -> float:
 
 
 def costs(size: Size) -> tuple[dict[str, np.ndarray], float]:
-    """Median seconds of an image by each method, in turns, and of its geometry."""
+    """Median seconds of an image by each method, and of tracing its geometry.
+
+    The methods take turns, since a machine's speed changes.
+
+    **Returns:** seconds by method, for each of `TIMED`; seconds of the tracing.
+    """
     camera = pf.OrthographicCamera(size.pixels, size.pixels, view_height=2.1)
     scenes = {
         (name, lamps): ball(ROWS[2], name, camera, spread_directions(lamps))
@@ -257,7 +285,7 @@ def draw(result: Result, pixels: int) -> Figure:
     ]
     names = [f"{4 * rows**2} triangles" for rows in ROWS]
     style.picture_grid(top, images, columns=names, rows=list(METHODS))
-    (peak, energy), (facets, slope) = bottom.subplots(2, 2)
+    (peak, energy), (flat_peak, slope) = bottom.subplots(2, 2)
     for k, (f, colour, marker) in enumerate(
         zip(EXPONENTS, (style.BLUE, style.GREEN, style.VERMILION), "os^", strict=True)
     ):
@@ -265,15 +293,16 @@ def draw(result: Result, pixels: int) -> Figure:
         for axes, loss in (
             (peak, 1 - result.peak["Gouraud"][:, k]),
             (energy, np.abs(result.energy["Gouraud"][:, k] - 1)),
-            (facets, np.abs(result.peak["flat"][:, k] - 1)),
+            (flat_peak, np.abs(result.peak["flat"][:, k] - 1)),
         ):
+            # A mean over lamps; log scales have no 0.
             mean = np.maximum(100 * loss.mean(axis=-1), 1e-3)
             axes.loglog(x, mean, f"{marker}-", c=colour, label=f"$f$ = {f:g}")
     peak.axhline(100 * GOOD, c=style.BLACK, lw=0.8, ls=":")
     for axes, about, label in (
         (peak, "Gouraud: the highlight's peak", "lost of the peak (%)"),
         (energy, "Gouraud: the highlight's energy", "energy off by (%)"),
-        (facets, "flat: the highlight's peak", "peak off by (%)"),
+        (flat_peak, "flat: the highlight's peak", "peak off by (%)"),
     ):
         axes.set_xlabel("edge / half width of the highlight")
         axes.set_ylabel(label)
@@ -283,7 +312,7 @@ def draw(result: Result, pixels: int) -> Figure:
         colour, marker = LINES[name]
         jump = result.slope_jump[name]
         slope.loglog(result.edge, jump, f"{marker}-", c=colour, label=name)
-    for axes in (peak, energy, facets, slope):
+    for axes in (peak, energy, flat_peak, slope):
         style.plain_numbers(axes)
     slope.set_xlabel("edge (degrees)")
     slope.set_ylabel("jump of the slope (1/radius)")
@@ -303,6 +332,7 @@ COLUMNS = (
     "energy, Gouraud",
     "slope jump / Phong's",
 )
+"""Column titles of [`rows_of`][]; "at worst" is over lamps."""
 
 
 def rows_of(result: Result) -> tuple[tuple[str, ...], ...]:
@@ -325,6 +355,7 @@ def rows_of(result: Result) -> tuple[tuple[str, ...], ...]:
 
 def summarize(result: Result) -> str:
     """The answer to the experiment's question, as sentences."""
+    # Exponent 1 is the middle one; meshes 0 and −1 are the coarsest and the finest.
     first, last = result.peak["Gouraud"][[0, -1], 1]
     ratio = {name: result.seconds[name] / result.seconds["Phong"] for name in METHODS}
     fine_enough = float(np.nanmean(result.fine_enough))
@@ -354,10 +385,11 @@ def summarize(result: Result) -> str:
 
 
 def find(small: bool) -> Finding:
-    """Measure, draw and answer."""
+    """Run the experiment: measure, draw and answer; `small`: quick and coarse."""
     size = Size(96, 6, 3) if small else Size(256, 16, 15)
     result = measure(size)
     kept = result.peak["Gouraud"].mean(axis=-1)
+    # Means over lamps scatter, so a step back by 2 % is allowed.
     falls = np.all(np.diff(kept, axis=0) > -0.02) and np.all(kept[-1] > kept[0])
     return Finding(
         summarize(result),

@@ -30,13 +30,16 @@ from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.solve.solution import Solution, solve
 from phongfit.fitting.uncertainty.profile import total_cost
 
+# Standard deviation in linear light, where white is 1.
 NOISE = 0.01
+# Confidence of the intervals.
 LEVEL = 0.95
+# Width and height of an image, pixels.
 SIZE = 32
 
 
 def ball(lights: int = 2) -> pf.Scene:
-    """A sphere under one or two lights, nowhere near white."""
+    """A sphere under one or two lights, so weak that no sample is near white."""
     both = (
         pf.DirectionalLight((1, 1, 2), 0.35),
         pf.DirectionalLight((-1, 0.3, 1), (0.3, 0.25, 0.2)),
@@ -46,13 +49,18 @@ def ball(lights: int = 2) -> pf.Scene:
 
 
 TRUTH = pf.Material((0.6, 0.3, 0.2), (0.3, 0.25, 0.35), 20.0, (0.5, 0.4, 0.3))
-# The ambient reflectance of one channel lies on its bound: half of the draws bind.
+# The true ρ_a of red lies on its bound 0, so in half of the draws the estimate does.
 BOUND = dataclasses.replace(TRUTH, ambient=jnp.array([0.0, 0.4, 0.3]))
 
 
 @dataclasses.dataclass(frozen=True)
 class Spread:
-    """Statistics of each parameter over many draws."""
+    """Statistics of each parameter over many draws.
+
+    - `ratio`: root mean square of estimate − truth over the standard error;
+    - `coverage`: fraction of the 95 % intervals that contain the truth;
+    - `one_sided`: whether a bound made the error one-sided in any draw.
+    """
 
     labels: tuple[str, ...]
     ratio: np.ndarray
@@ -61,9 +69,9 @@ class Spread:
     draws: int
 
     def failed_checks(self) -> list[str]:
-        """Parameters whose error bars are off by more than chance allows."""
-        # From n draws, a spread has the relative error 1/√(2n), a share p has the error
-        # √(p (1 − p) / n).
+        """Labels of parameters whose error bars are off by more than chance allows."""
+        # From n draws, a standard deviation has the relative error 1/√(2n), and a
+        # fraction p has the error √(p (1 − p) / n). Four such errors are allowed.
         tolerance = max(0.05, 4 / np.sqrt(2 * self.draws))
         coverage_tolerance = max(0.015, 4 * np.sqrt(LEVEL * (1 - LEVEL) / self.draws))
         too_wide = (self.ratio < 1 - tolerance) & ~self.one_sided
@@ -78,10 +86,10 @@ def measure_spread(
 ) -> Spread:
     """Fit noisy images of one scene, and compare the deviations with the stated errors.
 
-    The ratio is the root mean square of the deviations over the predicted standard
+    The ratio is the root mean square of estimate − truth, over the predicted standard
     error. If the true value of a parameter lies on a bound, the prediction does not
-    hold for the others; then it is the root mean square of deviation / stated error of
-    each draw. Parameters whose true value lies on a bound are left out.
+    hold for the others; then each deviation is divided by the error stated in its draw.
+    Parameters whose true value lies on a bound are left out.
     """
     scene = ball()
     predicted = pf.predict_errors(scene, material, NOISE)
@@ -151,16 +159,23 @@ def random_problem(seed: int) -> tuple[pf.Scene, np.ndarray]:
 
 @eqx.filter_jit
 def _solve_all(problem: Problem, starts: jnp.ndarray) -> Solution:
+    """Solutions from all `starts`, (starts, unknowns), in at most 100 steps each."""
     return eqx.filter_vmap(lambda start: solve(problem, start, 100))(starts)
 
 
 def excess_cost(seed: int, starts: int) -> float:
-    """Excess of a fit's cost over the best of random starts, relative to it."""
+    """(cost of a fit − lowest cost from random starts) / lowest cost.
+
+    Negative if the fit's cost is below all of them.
+
+    **Arguments:** `seed`: of the problem and of the starts; `starts`: their number.
+    """
     scene, image = random_problem(seed)
     fit = pf.fit(scene, image)
     problem, unknowns = fit.solution.problem, fit.solution.problem.unknowns
     low, high = np.asarray(unknowns.lower), np.asarray(unknowns.upper)
     rng = np.random.default_rng(seed)
+    # Uniform between the bounds of the solver's vector, which has log f.
     points = low + (high - low) * rng.random((starts, len(low)))
     ends = _solve_all(problem, jnp.asarray(points.astype(low.dtype)))
     costs = np.where(np.isfinite(ends.cost), ends.cost, np.inf)
@@ -169,7 +184,7 @@ def excess_cost(seed: int, starts: int) -> float:
 
 
 def show(title: str, spread: Spread) -> Table:
-    """Spread over bound and share of intervals, parameter by parameter."""
+    """Table of [`Spread`][]: ratio and coverage, parameter by parameter."""
     table = Table(title=f"{title}, {spread.draws} draws", title_justify="left")
     table.add_column("")
     table.add_column("RMSE / error", justify="right")

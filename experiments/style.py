@@ -1,4 +1,4 @@
-"""One look for all figures: the report's, on the width of a page."""
+"""Style and layout of the experiments' figures, as wide as a page of text."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -35,7 +35,7 @@ PARAMETERS = {
     "ambient": (ORANGE, "D", "ρ_a"),
 }
 
-# The report's, for a page of many small panels: titles above the middle of each.
+# Style of the report, changed for many small panels: titles above the middle of each.
 STYLE: dict[Any, Any] = REPORT | {
     "axes.titlelocation": "center",
     "figure.titlesize": 10,
@@ -44,12 +44,12 @@ STYLE: dict[Any, Any] = REPORT | {
     "figure.constrained_layout.w_pad": 0.03,
 }
 
-# A decorator for functions that draw.
+# Decorator of functions that draw: Matplotlib uses `STYLE` while they run.
 styled = matplotlib.rc_context(STYLE)
 
 
 def symbol(name: str) -> str:
-    """A parameter as it is written in figures: ρ with its index."""
+    """A parameter's symbol in Matplotlib's TeX, such as "$ρ_{d}$" for "diffuse"."""
     letter, _, index = PARAMETERS[name][2].partition("_")
     return f"${letter}_{{{index}}}$" if index else f"${letter}$"
 
@@ -60,13 +60,16 @@ def page(height: float) -> Figure:
 
 
 def bands(figure: Figure, *heights: float) -> list[SubFigure]:
-    """Parts of a page above one another; `heights` are relative."""
+    """Divide a page into parts, from top to bottom; `heights` are relative."""
     parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)
     return np.ravel(np.asarray(parts, object)).tolist()
 
 
 def show(axes: Axes, image: Any, title: str = "", below: str = "") -> None:
-    """Draw linear light (H, W, 3) as a screen shows it: clamped and sRGB-encoded."""
+    """Draw linear light (H, W, 3) as a screen shows it: clamped and sRGB-encoded.
+
+    **Arguments:** `title`, `below`: text above and below the picture.
+    """
     axes.imshow(displayed(image))
     quiet(axes)
     axes.set_title(title)
@@ -74,7 +77,10 @@ def show(axes: Axes, image: Any, title: str = "", below: str = "") -> None:
 
 
 def plain_numbers(axes: Axes, which: str = "xy") -> None:
-    """Label logarithmic axes by 0.1, 1, 10, in place of powers of ten."""
+    """Label logarithmic axes by 0.1, 1, 10 instead of powers of ten.
+
+    **Arguments:** `which`: `"x"`, `"y"` or `"xy"`.
+    """
     for name, axis in (("x", axes.xaxis), ("y", axes.yaxis)):
         if name in which and axis.get_scale() == "log":
             axis.set_major_formatter(StrMethodFormatter("{x:g}"))
@@ -89,7 +95,10 @@ def picture_grid(
 ) -> np.ndarray:
     """Draw pictures in a grid whose rows and columns have titles.
 
-    **Arguments:** `images`: rows of linear light (H, W, 3). **Returns:** their axes.
+    **Arguments:** `images`: rows of images, each linear light (H, W, 3); `columns`,
+    `rows`: titles.
+
+    **Returns:** Matplotlib's axes, of shape (rows, columns).
     """
     axes = figure.subplots(len(images), len(images[0]), squeeze=False)
     for line, row, name in zip(axes, images, rows, strict=True):

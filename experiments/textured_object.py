@@ -4,7 +4,8 @@ A vase of two materials, whose diffuse texture has checks and noise, is photogra
 from eight places under two lamps each: 1 % noise, 8 bits. `fit_texture` fits the
 texels, and ρ_s and f of each material. The criteria are
 
-- texels seen at least three times: (value − true) / error has an RMS of 0.9 … 1.1;
+- of texels seen at least three times, pulls have an RMS of 0.9 … 1.1, where a pull is
+  (value − true) / error;
 - ρ_s and f lie within four standard errors of the truth;
 - a photograph from a ninth place, under a third lamp, is predicted to 1.1 times its
   noise.
@@ -70,7 +71,10 @@ LARGE = Size(2048, 1415, 96, 48, 10)
 
 
 def vase(around: int, along: int) -> pf.Mesh:
-    """A surface of revolution with uv: two materials, one above the other."""
+    """A surface of revolution about y with uv and two materials, one above the other.
+
+    **Arguments:** `around`, `along`: cells around the axis and from top to bottom.
+    """
     u, v = np.linspace(0, 1, around + 1), np.linspace(0, 1, along + 1)
     radius = 0.55 + 0.25 * np.sin(np.pi * v) + 0.08 * np.sin(3 * np.pi * v)
     angle = 2 * np.pi * u
@@ -83,7 +87,8 @@ def vase(around: int, along: int) -> pf.Mesh:
     # u runs to the left seen from outside, and v down.
     faces = np.concatenate([np.stack([a, c, b], 1), np.stack([a, d, c], 1)])
     uv = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-    # The seam is smooth: normals are those of the closed surface.
+    # Normals of the profile (radius, height) along v, rotated; so they are equal on
+    # both sides of the seam.
     slope = np.gradient(radius, v)[:, None, None]
     fall = np.gradient((1 - 2 * v) * 0.9, v)[:, None, None]
     normals = -fall * rim + slope * np.array([0, 1, 0])
@@ -108,10 +113,11 @@ def checkered(texels: int, seed: int = 0) -> np.ndarray:
 TRUTH = pf.Material(
     1.0, np.array([[0.25], [0.1]]), np.array([[60.0], [15.0]]), ambient=0.0
 )
+"""The two true materials, stacked: ρ_s and f differ, and ρ_d is the texture times 1."""
 
 
 def views(mesh: pf.Mesh, size: Size) -> list[pf.Scene]:
-    """Scenes of cameras around the vase: two for each camera, with one lamp each."""
+    """Scenes from cameras around the vase: two for each camera, with one lamp each."""
     scenes = []
     for k in range(size.views):
         angle = 2 * np.pi * k / size.views
@@ -123,10 +129,14 @@ def views(mesh: pf.Mesh, size: Size) -> list[pf.Scene]:
 def view(
     mesh: pf.Mesh, pixels: int, angle: float, height: float, lamps: tuple[float, ...]
 ) -> list[pf.Scene]:
-    """Scenes of one camera, each with one lamp at one of the angles `lamps` from it."""
-    place = (4 * np.cos(angle), height, 4 * np.sin(angle))
+    """Scenes of one camera, each with one distant lamp.
+
+    **Arguments:** `angle`: of the camera about the y axis, radians; `height`: its y,
+    world units; `lamps`: angle of each lamp from the camera's, radians.
+    """
+    position = (4 * np.cos(angle), height, 4 * np.sin(angle))
     camera = pf.PerspectiveCamera.look_at(
-        place, width=pixels, height=pixels, fov_y=32.0
+        position, width=pixels, height=pixels, fov_y=32.0
     )
     scenes = []
     for k, lamp_angle in enumerate(lamps):
@@ -138,20 +148,23 @@ def view(
 def photograph(
     scene: pf.Scene, material: pf.Material, seed: int, bits: int | None = 8
 ) -> np.ndarray:
-    """A noisy photograph of the scene, rounded to `bits`, or not rounded."""
+    """A noisy photograph of the scene in [0, 1], linear, rounded to `bits`.
+
+    `bits=None`: not rounded.
+    """
     light = pf.render(scene, material, film=pf.Film(clamp=False))
     light = light + NOISE * jax.random.normal(jax.random.key(seed), light.shape)
     return np.asarray(pf.Film(bits=bits).expose(light))
 
 
 class Accuracy(NamedTuple):
-    """Accuracy of a fit.
+    """Accuracy of a fitted texture, next to the truth.
 
     - `pulls`: RMS of (value − true) / error of the texels seen three times or more.
     - `texels`: number of these texels, and of all.
     - `shared`: label, value, error and (value − true) / error of each ρ_s and f.
-    - `predicted`: RMS residual of the ninth photograph, over its noise.
-    - `seconds`, `memory`: of the fit, and GB at the most until it ended.
+    - `predicted`: RMS residual of the photograph from the ninth place, over its noise.
+    - `seconds`: of the fit; `memory`: peak memory of the process until then, GB.
     """
 
     pulls: float
@@ -173,10 +186,12 @@ class Accuracy(NamedTuple):
 
 
 class TextureResult(NamedTuple):
-    """Result of a fit: texels, their errors, and the number of pixels that see each.
+    """A fitted texture, with what the texels of a material share.
 
-    `shared` has label, value and error of each ρ_s and f; `painted` is the mesh with
-    its textures, which multiply `material`.
+    - `values`, `errors`: diffuse texels and their standard errors, (rows, columns, 3);
+    - `seen`: number of pixels that see each texel, (rows, columns);
+    - `shared`: label, value and error of each ρ_s and f;
+    - `painted`: the mesh with the fitted textures, which multiply `material`.
     """
 
     values: np.ndarray
@@ -204,7 +219,7 @@ def fit_texels(
 def fit_in_memory(
     mesh: pf.Mesh, size: Size, images: list[np.ndarray], folder: Path | None
 ) -> TextureResult:
-    """Fit the texture by `fit_texture`."""
+    """Fit the texture by `fit_texture`; `folder` is for [`fit_on_disk`][] alone."""
     del folder
     scenes = views(mesh, size)
     fit = fit_texels(scenes, images, size)
@@ -224,7 +239,10 @@ def fit_in_memory(
 def fit_on_disk(
     mesh: pf.Mesh, size: Size, images: list[np.ndarray], folder: Path | None
 ) -> TextureResult:
-    """Fit the texture by `phongfit scene` and `phongfit fit`, through files."""
+    """Fit the texture by `phongfit scene` and `phongfit fit`, through files.
+
+    **Arguments:** `mesh`: without textures; `folder`: for all files, not `None`.
+    """
     assert folder is not None
     photos, model, out = (folder / name for name in ("photos", "sparse", "fit"))
     photos.mkdir(parents=True)
@@ -271,6 +289,10 @@ def fit_on_disk(
 
 
 def _run(*words: Any) -> None:
+    """Run a command of phongfit in this process.
+
+    **Raises:** `ValueError` that names it, if its exit status is not 0.
+    """
     if phongfit([str(word) for word in words]) != 0:
         raise ValueError(f"phongfit {words[0]}: expected exit status 0")
 
@@ -303,7 +325,10 @@ def write_colmap(folder: Path, names: list[str], cameras: list[Any]) -> None:
 
 
 def measure(size: Size, seed: int = 0, folder: Path | None = None) -> Accuracy:
-    """Photograph the vase, fit it, and compare; through files if a folder is given."""
+    """Photograph the vase, fit it, and compare the fit with the truth.
+
+    **Arguments:** `folder`: to make, for a fit through files; `None`: without files.
+    """
     mesh = vase(size.around, size.along)
     true = checkered(size.texels, seed)
     painted = mesh.with_textures(pf.Textures(diffuse=pf.Texture(true)))
@@ -320,6 +345,7 @@ def measure(size: Size, seed: int = 0, folder: Path | None = None) -> Accuracy:
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9
     well_seen = (result.seen >= 3)[..., None] & np.isfinite(result.errors)
     pulls = ((result.values - true) / result.errors)[well_seen]
+    # The ninth place: between the first two cameras, and at another height.
     (scene,) = view(painted, size.pixels, 2 * np.pi * 0.56 / size.views, 0.3, (0.2,))
     return Accuracy(
         pulls=float(np.sqrt(np.mean(pulls**2))),
@@ -343,10 +369,14 @@ def shared_pulls(result: TextureResult) -> list[tuple[str, float, float, float]]
 def prediction_error(
     scene: pf.Scene, result: TextureResult, seed: int, bits: int | None
 ) -> float:
-    """RMS residual of a predicted photograph of the true `scene`, over its noise."""
+    """RMS residual of the predicted photograph of a scene, over its noise.
+
+    **Arguments:** `scene`: with the true texture; `bits`: as in [`photograph`][].
+    """
     image = photograph(scene, TRUTH, seed, bits)
     fitted_scene = dataclasses.replace(scene, surface=result.painted)
     predicted = np.asarray(pf.render(fitted_scene, result.material))
+    # Pixels at white are clipped, so their residuals are smaller than the noise.
     used = np.asarray(scene.trace().mask) & (image < 1).all(axis=-1)
     residual = (image - predicted)[used]
     return float(np.sqrt(np.mean(residual**2)) / NOISE)

@@ -23,6 +23,7 @@ from phongfit.rendering.film import decode, encode
 from phongfit.report.style import quiet
 
 TRUTH = pf.Material(0.5, 0.3, 20.0, 0.4)
+# Standard deviation in linear light, where white is 1.
 NOISE = 0.01
 PARAMETERS = tuple(style.PARAMETERS)
 UNCLAMPED = pf.Film(clamp=False)
@@ -33,8 +34,9 @@ LAMP = (1.0, 1.0, 2.0)
 class Mistake:
     """A wrong assumption of a fit.
 
-    The image of `true_scene` is changed by `distort` and fitted with `fitted_scene`.
-    `why_hidden` is the reason why a fit may not detect the mistake.
+    The noisy image of `true_scene` is changed by `distort` (by default not at all) and
+    fitted with `fitted_scene`. `why_hidden` is the reason why no diagnostic may detect
+    the mistake, as a clause for the answer.
     """
 
     name: str
@@ -46,12 +48,15 @@ class Mistake:
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """Effects of a mistake: means over noisy images, in the order of `PARAMETERS`.
+    """Effects of a mistake: means over noisy images.
 
-    - `bias`: estimate − truth; `in_errors`: the same over the errors stated;
-    - `chi_squared`: reduced; `correlation`: of neighbouring residuals;
+    - `bias`: estimate − truth, in the order of `PARAMETERS`; `in_errors`: mean of
+        (estimate − truth) / stated error;
+    - `chi_squared`: reduced χ²; `correlation`: of neighbouring residuals;
     - `flags`: the diagnostics that detect it in most images: see `DIAGNOSTICS`;
-    - `residual`: of one of the images, in units of the noise.
+    - `why_hidden`: see [`Mistake`][];
+    - `residual`: map (H, W) of image − fit, mean of the channels, of one of the images;
+        in standard deviations of the noise.
     """
 
     name: str
@@ -76,7 +81,7 @@ the fit's own."""
 
 
 def ball(size: int, **changes: Any) -> pf.Scene:
-    """A ball under one lamp, with these fields of the scene replaced."""
+    """A ball under one lamp in `size` × `size` pixels, with changed fields of Scene."""
     scene = pf.Scene(
         pf.Sphere(),
         pf.OrthographicCamera(size, size),
@@ -87,7 +92,7 @@ def ball(size: int, **changes: Any) -> pf.Scene:
 
 
 def mistakes(size: int) -> list[Mistake]:
-    """All mistakes, after a fit without one."""
+    """All mistakes, and first a fit without one; images have `size` × `size` pixels."""
     right = ball(size)
     coarse = ball(size, surface=unit_ball(12))
     pair = ball(
@@ -137,11 +142,12 @@ def mistakes(size: int) -> list[Mistake]:
 
 
 def two_balls() -> pf.Mesh:
-    """A small ball in the lamp's way to a large one, of one material."""
+    """A mesh of a small ball that shades a large one from the lamp, of one material."""
     large, small = ((-0.2, -0.2, 0.0), 0.75), ((0.68, 0.33, 0.6), 0.25)
     both = pf.geometry.join(
-        ball_of_triangles(24, size, at) for at, size in (large, small)
+        ball_of_triangles(24, radius, center) for center, radius in (large, small)
     )
+    # `join` gives each ball a material of its own; this mesh has one.
     return pf.Mesh(both.vertices, both.faces, both.normals)
 
 
@@ -151,7 +157,7 @@ def clip(image: np.ndarray) -> np.ndarray:
 
 
 def with_lamp(scene: pf.Scene, lamp: pf.DirectionalLight) -> pf.Scene:
-    """The scene under another lamp."""
+    """The scene with `lamp` as its only light."""
     return dataclasses.replace(scene, lights=(lamp,))
 
 
@@ -163,7 +169,7 @@ def angle(lamp: pf.DirectionalLight) -> float:
 
 
 def measure_outcome(mistake: Mistake, draws: int, seed: int) -> Outcome:
-    """Fit several noisy images with one mistake."""
+    """Fit `draws` noisy images with one mistake."""
     light = np.asarray(pf.render(mistake.true_scene, TRUTH, film=UNCLAMPED))
     rng = np.random.default_rng(seed)
     fits = [
@@ -176,8 +182,8 @@ def measure_outcome(mistake: Mistake, draws: int, seed: int) -> Outcome:
         )
         for _ in range(draws)
     ]
-    order = [fits[0].labels.index(leaf) for leaf in PARAMETERS]
-    truth = np.array([float(getattr(TRUTH, leaf)) for leaf in PARAMETERS])
+    order = [fits[0].labels.index(name) for name in PARAMETERS]
+    truth = np.array([float(getattr(TRUTH, name)) for name in PARAMETERS])
     deviation = np.array([fit.values[order] - truth for fit in fits])
     errors = np.array([fit.errors[order] for fit in fits])
     detected = np.array([[name in flags(fit) for name in DIAGNOSTICS] for fit in fits])
@@ -194,10 +200,12 @@ def measure_outcome(mistake: Mistake, draws: int, seed: int) -> Outcome:
 
 
 def flags(fit: pf.Fit) -> tuple[str, ...]:
-    """The `DIAGNOSTICS` that find a fault with a fit."""
+    """The `DIAGNOSTICS` that detect a fault of a fit."""
+    # The variance of reduced χ² is 2 over the degrees of freedom.
     chance = 5 * np.sqrt(2 / fit.degrees_of_freedom)
     detected = (
         fit.reduced_chi_squared > 1 + chance,
+        # Set to 0 by the fit where it is not significant.
         fit.neighbour_correlation > 0,
         bool(fit.at_bound.any()),
         bool(fit.warnings),
@@ -210,7 +218,7 @@ def flags(fit: pf.Fit) -> tuple[str, ...]:
 
 
 def measure(small: bool) -> list[Outcome]:
-    """Measure all mistakes."""
+    """Measure all mistakes; the first outcome is that of the fit without one."""
     size, draws = (32, 4) if small else (48, 20)
     return [
         measure_outcome(mistake, draws, seed)
@@ -235,6 +243,7 @@ def draw(outcomes: list[Outcome]) -> Figure:
     bar.set_label("image − fit (noise's standard deviations)")
     table = bottom.subplots()
     deviation = np.array([outcome.in_errors for outcome in outcomes])
+    # Colours are logarithmic: a cell is pale below 1 σ, full from 1000 σ on.
     strength = np.sign(deviation) * np.log10(1 + np.abs(deviation))
     columns = len(PARAMETERS) + len(DIAGNOSTICS)
     cells = np.zeros((len(outcomes), columns))
@@ -252,7 +261,7 @@ def draw(outcomes: list[Outcome]) -> Figure:
             number = numbers.get(name, "")
             write(table, k, row, number + ("●" if name in outcome.flags else "·"))
     table.set_yticks(range(len(outcomes)), [outcome.name for outcome in outcomes])
-    names = [f"{style.symbol(leaf)}: off by" for leaf in PARAMETERS]
+    names = [f"{style.symbol(name)}: off by" for name in PARAMETERS]
     table.set_xticks(range(columns), [*names, *DIAGNOSTICS])
     table.tick_params(length=0, labeltop=True, labelbottom=False)
     table.axvline(len(PARAMETERS) - 0.5, c=style.BLACK, lw=0.8)
@@ -268,8 +277,8 @@ def write(axes: Axes, column: int, row: int, words: str, ink: str = "black") -> 
 
 
 def offsets(outcome: Outcome) -> tuple[list[str], list[str]]:
-    """Biases as text: in their own units, and in errors stated."""
-    digits = [1 if leaf == "shininess" else 3 for leaf in PARAMETERS]
+    """Biases as text: in units of each parameter, and in stated errors (σ)."""
+    digits = [1 if name == "shininess" else 3 for name in PARAMETERS]
     values = [f"{bias:+.{n}f}" for bias, n in zip(outcome.bias, digits, strict=True)]
     in_errors = [
         f"{ratio:+.0f} σ" if abs(ratio) >= 10 else f"{ratio:+.1f} σ"
@@ -284,7 +293,11 @@ def minus(number: str) -> str:
 
 
 def summarize(right: Outcome, others: list[Outcome]) -> str:
-    """The answer as sentences, from the fit without a mistake and those with one."""
+    """The answer as sentences.
+
+    **Arguments:** `right`: outcome of the fit without a mistake; `others`: those of
+    the mistakes.
+    """
     misled = [outcome for outcome in others if outcome.misled]
     hidden = [outcome for outcome in misled if not outcome.flags]
     counts = {
@@ -297,13 +310,14 @@ def summarize(right: Outcome, others: list[Outcome]) -> str:
         f"{len(misled)} of {len(others)} mistakes move a parameter by more than three "
         "of its stated errors; the exponent suffers most: "
         f"{worst.name!r} moves f = {float(TRUTH.shininess):g} by "
-        f"{worst.bias[PARAMETERS.index('shininess')]:+.0f}. What gives them away: "
+        f"{worst.bias[PARAMETERS.index('shininess')]:+.0f}. Detected by: "
         + ", ".join(
             f"{name} {count} of {len(others)}" for name, count in counts.items()
         )
         + f"; the right model is {'flagged too' if right.flags else 'not flagged'}. "
         + "".join(
             f"Nothing shows {outcome.name!r} (reduced χ² {outcome.chi_squared:.2f}): "
+            # The first three of `PARAMETERS` are ρ_d, ρ_s and f.
             f"{outcome.why_hidden}; ρ_d comes out {outcome.bias[0]:+.3f}, ρ_s "
             f"{outcome.bias[1]:+.3f} and f {outcome.bias[2]:+.1f} off. "
             for outcome in hidden
@@ -312,7 +326,7 @@ def summarize(right: Outcome, others: list[Outcome]) -> str:
 
 
 def find(small: bool) -> Finding:
-    """Measure, draw and answer."""
+    """Run the experiment: measure, draw and answer; `small`: quick and coarse."""
     outcomes = measure(small)
     right, *others = outcomes
     rows = tuple(
@@ -336,14 +350,14 @@ def find(small: bool) -> Finding:
             for outcome in outcomes
         },
         draw(outcomes),
-        "Maps of what fits leave over: noise where the model is right, rings, "
-        "crescents and patches where it is wrong; a table of how far each parameter "
-        "is off, and which diagnostics say so.",
+        "Maps of residuals: noise where the model is right, rings, crescents and "
+        "patches where it is wrong; a table of how far each parameter is off, and "
+        "which diagnostics detect it.",
         Table(
             (
                 "mistake",
-                *(f"{style.PARAMETERS[leaf][2]} off" for leaf in PARAMETERS),
-                "given away by",
+                *(f"{style.PARAMETERS[name][2]} off" for name in PARAMETERS),
+                "detected by",
             ),
             rows,
         ),

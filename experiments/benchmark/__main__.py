@@ -34,7 +34,12 @@ from phongfit.cli import run
 
 @dataclasses.dataclass(frozen=True)
 class Ratio:
-    """One row of the table: a measured ratio of times, and the aim for it."""
+    """One row of the table: a measured ratio of times, and the aim for it.
+
+    - `work`, `against`: what phongfit does, and what its time is compared with;
+    - `key`: name in the JSON file;
+    - `at_most`: whether the ratio should be at most the aim, not at least.
+    """
 
     work: str
     against: str
@@ -56,9 +61,12 @@ NO_MITSUBA = (
 
 
 def single_ratios(rows: list[single.Row]) -> list[Ratio]:
-    """Ratios for one image: of the whole fit, and of the search alone."""
+    """Times of other methods over phongfit's, for one image.
+
+    For each method two: over the whole fit, and over its search alone.
+    """
     seconds = {row.key: row.seconds for row in rows}
-    # A method's label and the smallest ratio aimed at; lmfit is not to be faster.
+    # A method's label, and the smallest ratio aimed at; lmfit is not to be faster.
     peers = {
         "lm_one": ("stock optimistix LM, OpenBLAS on one thread", 15),
         "lm": ("the same, OpenBLAS as it comes", 15),
@@ -79,7 +87,7 @@ def single_ratios(rows: list[single.Row]) -> list[Ratio]:
 
 
 def map_ratios(rows: list[map_peers.Row]) -> list[Ratio]:
-    """Ratios for maps with a material per pixel."""
+    """Times of other methods over phongfit's, for maps with a material per pixel."""
     seconds = {row.key: row.seconds for row in rows}
     lm, loop = (seconds[key] / seconds["map"] for key in ("vmapped_lm", "scipy_loop"))
     work = "a material per pixel, 16 000 pixels × 96 lights"
@@ -90,7 +98,7 @@ def map_ratios(rows: list[map_peers.Row]) -> list[Ratio]:
 
 
 def normal_ratio(rows: list[normal_peers.Row]) -> Ratio:
-    """Ratio of CPU times for normals that are fitted with the materials."""
+    """CPU time of stock Levenberg-Marquardt over phongfit's, for normals of maps."""
     seconds = {row.key: row.seconds for row in rows}
     return Ratio(
         f"normals and materials per pixel, {rows[0].pixels:,} pixels × 49 lights",
@@ -102,7 +110,7 @@ def normal_ratio(rows: list[normal_peers.Row]) -> Ratio:
 
 
 def texture_ratios(rows: list[textures.Row]) -> list[Ratio]:
-    """Ratios of CPU times for texels; empty if Mitsuba is not installed."""
+    """CPU time of Adam over phongfit's, for texels; empty if Mitsuba does not work."""
     ours, *peers = rows
     return [
         Ratio(
@@ -122,7 +130,7 @@ def spread(costs: dict[str, float]) -> float:
 
 
 def table(ratios: list[Ratio]) -> str:
-    """The table of ratios, as Markdown."""
+    """The table of ratios, as Markdown; "(short)" marks those that miss their aim."""
     lines = ["| work | against | aim | measured |", "|---|---|--:|--:|"]
     for row in ratios:
         aim = f"{'≤' if row.at_most else '≥'} {row.aim:g}×"
@@ -197,18 +205,22 @@ def texture_details(rows: list[textures.Row]) -> str:
 
 @styled
 def figure(ratios: list[Ratio], fit_times: dict[str, dict[str, float]]) -> Figure:
-    """Draw the ratios next to their aims, and the growth of a fit's time."""
+    """Draw the ratios next to their aims, and the growth of a fit's time.
+
+    **Arguments:** `fit_times`: seconds as [`growth`][] returns them, by what grows and
+    by number.
+    """
     gains = [row for row in ratios if not row.at_most][::-1]
-    # Each name takes two lines.
-    high, low = 0.4 * len(gains) + 0.6, 2.1
-    drawing = page(high + low)
-    above, below = (band.subplots() for band in bands(drawing, high, low))
-    place = np.arange(len(gains))
-    above.barh(place, [row.value for row in gains], color=BLUE, height=0.6)
+    # Heights in inches; each name takes two lines.
+    bars, growth_panel = 0.4 * len(gains) + 0.6, 2.1
+    drawing = page(bars + growth_panel)
+    above, below = (band.subplots() for band in bands(drawing, bars, growth_panel))
+    positions = np.arange(len(gains))
+    above.barh(positions, [row.value for row in gains], color=BLUE, height=0.6)
     aims = [row.aim for row in gains]
-    above.plot(aims, place, "|", ms=13, mew=3, color=VERMILION)
+    above.plot(aims, positions, "|", ms=13, mew=3, color=VERMILION)
     names = [f"{row.work}\nagainst {row.against}" for row in gains]
-    above.set_yticks(place, [name.replace("`", "") for name in names])
+    above.set_yticks(positions, [name.replace("`", "") for name in names])
     above.grid(False, axis="y")
     above.set(
         xscale="log", xlim=(1, None), xlabel="times as fast (bar: measured, mark: aim)"
@@ -268,9 +280,10 @@ def main(
     console = Console()
 
     def show(text: str) -> None:
-        # In a file a row of a table stays one line.
+        # Without wrapping: in a file, a row of a table must be one line.
         console.print(Markdown(text) if console.is_terminal else text, soft_wrap=True)
 
+    # Numbers of pixels are divided by it.
     divisor = 40 if quick else 1
     rows = single.rows(resolution, runs, console)
     show(single_details(rows))

@@ -1,4 +1,4 @@
-"""`python -m experiments.benchmark.compiling`: how long first fits wait for compilers.
+"""`python -m experiments.benchmark.compiling`: how long do first fits compile?
 
 Fits of 1, 4, 12 and 48 images, each in a separate process: with an empty compile cache,
 and again with the cache filled. All images but the first have an unknown exposure or
@@ -21,6 +21,7 @@ import phongfit as pf
 from experiments.benchmark.costs import MATERIAL
 from phongfit.cli import run
 
+# Names of the unknowns in `pf.fit`, by the kind in the table.
 KINDS = {
     "exposure": "exposure",
     "strength": "scene.lights[0].intensity",
@@ -29,7 +30,13 @@ IMPORTS = "import jax, optimistix; jax.devices()"
 
 
 def problem(images: int, kind: str, size: int) -> tuple[Any, ...]:
-    """Scenes, images and options of a fit with `images` − 1 unknowns of this kind."""
+    """Scenes, images and options of a fit with `images` − 1 unknowns of a kind.
+
+    The exposure or strength of the first image is fixed, since a common factor of all
+    is not identifiable.
+
+    **Arguments:** `kind`: a key of `KINDS`; `size`: width and height, pixels.
+    """
     angles = 2 * np.pi * np.arange(images) / images
     camera = pf.OrthographicCamera(size, size)
     scenes = [
@@ -53,6 +60,7 @@ def problem(images: int, kind: str, size: int) -> tuple[Any, ...]:
     if images == 1:
         return scenes, noisy, {}
     name = KINDS[kind]
+    # Label of the first image's entry.
     first = name.replace("scene.", "scenes[0].") if "." in name else f"{name}[0]"
     unknowns = ("ambient", "diffuse", "specular", "shininess", name)
     per_image = (name,) if "." in name else ()
@@ -61,7 +69,10 @@ def problem(images: int, kind: str, size: int) -> tuple[Any, ...]:
 
 
 def time_here(images: int, kind: str, size: int) -> dict[str, float]:
-    """Seconds of a first and a second fit in this process; CPU seconds of the first."""
+    """Seconds of two fits in this process: `first` compiles, `warm` does not.
+
+    `work` is CPU seconds of the first. Arguments as in [`problem`][].
+    """
     scenes, noisy, options = problem(images, kind, size)
     begin, cpu_before = time.perf_counter(), _cpu_seconds()
     pf.fit(scenes, noisy, **options)
@@ -78,7 +89,10 @@ def _cpu_seconds() -> float:
 
 
 def time_in_processes(images: int, kind: str, size: int) -> dict[str, dict[str, float]]:
-    """Times of [`time_here`][] in new processes, with an empty cache and a full one."""
+    """Times of [`time_here`][] in two new processes.
+
+    "empty": with an empty cache of compiled programs; "kept": with what that one kept.
+    """
     code = (
         "import json; from experiments.benchmark.compiling import time_here; "
         f"print(json.dumps(time_here({images}, {kind!r}, {size})))"
@@ -91,6 +105,10 @@ def time_in_processes(images: int, kind: str, size: int) -> dict[str, dict[str, 
 
 
 def _output(code: str, cache: str) -> str:
+    """Output of Python code in a new process that keeps programs in folder `cache`.
+
+    **Raises:** `RuntimeError` with its error output, if it fails.
+    """
     others = {k: v for k, v in os.environ.items() if "COMPILATION_CACHE" not in k}
     done = subprocess.run(
         [sys.executable, "-c", code],
@@ -104,7 +122,7 @@ def _output(code: str, cache: str) -> str:
 
 
 def imports() -> float:
-    """Seconds to import JAX and optimistix: the least of three processes."""
+    """Seconds to import JAX and optimistix in a new process: the least of three."""
     taken = []
     for _ in range(3):
         begin = time.perf_counter()

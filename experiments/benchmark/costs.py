@@ -1,4 +1,4 @@
-"""Cost of a render and a fit by pixel, image, light and unknown; cold start."""
+"""Time of renders and fits by pixel, image, light and unknown; time of cold starts."""
 
 import os
 import subprocess
@@ -16,11 +16,16 @@ from experiments.benchmark.timing import seconds
 from phongfit.fitting.fit import DEFAULT_UNKNOWNS
 
 MATERIAL = pf.Material((0.6, 0.3, 0.2), 0.3, 60.0, 0.5)
+# Width and height of rendered images, pixels.
 SIZES = (128, 256, 512, 1024, 2048)
 
 
 def scene_of(size: int = 128, lights: int = 1) -> pf.Scene:
-    """A ball under lights that are spread around the camera."""
+    """A ball in `size` × `size` pixels, under lights spread around the camera.
+
+    However many they are, their intensities add up to 1.
+    """
+    # 2.4 radians are the golden angle, which spreads any number.
     angles = 2.4 * np.arange(lights)
     towards = [(np.cos(a), np.sin(a), 2.0) for a in angles]
     return pf.Scene(
@@ -32,19 +37,19 @@ def scene_of(size: int = 128, lights: int = 1) -> pf.Scene:
 
 
 def photograph(scene: pf.Scene, seed: int = 0) -> np.ndarray:
-    """The image of a scene, with 1 % noise."""
+    """Image of a scene with noise of 0.01, clipped to [0, 1]."""
     light = np.asarray(pf.render(scene, MATERIAL))
     noise = np.random.default_rng(seed).normal(0, 0.01, light.shape)
     return np.clip(light + noise, 0, 1).astype(light.dtype)
 
 
 def fit_seconds(scenes: Any, images: Any, **options: Any) -> float:
-    """Seconds of a fit whose programs are compiled already."""
+    """Median seconds of `pf.fit`, once its programs are compiled."""
     return seconds(lambda: pf.fit(scenes, images, **options), 5)
 
 
 def render_costs(sizes: tuple[int, ...] = SIZES) -> dict[str, float]:
-    """Seconds a pixel of rendering a traced scene, for each size."""
+    """Seconds for each pixel to render a scene that is traced already, by size."""
     costs = {}
     for size in sizes:
         scene = scene_of(size)
@@ -60,7 +65,10 @@ def render_costs(sizes: tuple[int, ...] = SIZES) -> dict[str, float]:
 
 
 def growth(sizes: tuple[int, ...] = (64, 128, 256, 512)) -> dict[str, dict[str, float]]:
-    """Seconds of fits with more and more pixels, images, lights or unknowns."""
+    """Seconds of fits by what grows (pixels, images, lights, unknowns), and by number.
+
+    **Arguments:** `sizes`: widths of the images whose pixels grow.
+    """
     times: dict[str, dict[str, float]] = {"pixels": {}, "images": {}, "lights": {}}
     for size in sizes:
         scene = scene_of(size)
@@ -98,7 +106,8 @@ def first_and_warm(size: int = 64) -> dict[str, float]:
 def cold_starts(size: int = 256) -> dict[str, float]:
     """Seconds of `phongfit fit` and of importing JAX and optimistix, in new processes.
 
-    The first of them has an empty cache of compiled programs, the others a full one.
+    **Returns:** `first_fit` starts with an empty cache of compiled programs; `fit` and
+    `import` are medians of three later processes.
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -119,6 +128,10 @@ def cold_starts(size: int = 256) -> dict[str, float]:
 
 
 def _process(command: list[str], cache: Path) -> float:
+    """Seconds of a command, which keeps compiled programs below the folder `cache`.
+
+    **Raises:** `RuntimeError` with its error output, if it fails.
+    """
     environment = os.environ | {"XDG_CACHE_HOME": str(cache / "cache")}
     begin = time.perf_counter()
     done = subprocess.run(command, env=environment, capture_output=True, text=True)

@@ -1,4 +1,4 @@
-"""A material per pixel, next to one small fit for each pixel.
+"""Benchmark of a material per pixel, next to one small fit for each pixel.
 
 `vmap`ped stock Levenberg-Marquardt of optimistix, on all pixels at once as the map has
 them, and a loop over SciPy's `least_squares` on a few of them. Both are given each
@@ -21,7 +21,7 @@ import phongfit as pf
 from experiments.benchmark.maps import fit_stack, map_seconds
 from experiments.benchmark.stack import AMBIENT, UNKNOWNS, Stack, cosines, make_stack
 
-# All reflectances in mid-range, and f = 8.
+# Start of the other solvers: ρ_a, ρ_d, ρ_s of three channels in mid-range, and log f.
 START = np.array([0.4] * 3 + [0.3] * 3 + [0.3] * 3 + [np.log(8)])
 TOLERANCE, MOST_STEPS = 1e-4, 100
 
@@ -30,8 +30,8 @@ TOLERANCE, MOST_STEPS = 1e-4, 100
 class Samples:
     """The first pixels of a stack, as the other solvers take them.
 
-    - `target`: (pixels, lights, 3).
-    - `lit`, `logarithm`: (pixels, lights): see [`cosines`][].
+    - `target`: linear light, (pixels, lights, 3).
+    - `lit`, `logarithm`: (pixels, lights), as [`cosines`][] returns them.
     """
 
     target: np.ndarray
@@ -43,8 +43,8 @@ class Samples:
 class MethodResult:
     """Results of one method for the first pixels of a stack.
 
-    - `seconds`: a pixel.
-    - `values`: (pixels, 10), with the logarithm of f last.
+    - `seconds`: time for each pixel.
+    - `values`: estimates, (pixels, 10), in the order of `START`.
     - `converged`: (pixels,).
     """
 
@@ -57,7 +57,8 @@ class MethodResult:
 class Row:
     """Time and accuracy of one method to fit a map.
 
-    - `seconds`: a pixel.
+    - `name`, `key`: its name in the printed table, and in the JSON file.
+    - `seconds`: time for each pixel; `pixels`: number of those that it fitted.
     - `converged`: fraction of its pixels that converged.
     - `as_map`: fraction of its pixels where every unknown is within half a standard
         error of the map's.
@@ -88,10 +89,17 @@ def _vmapped(
     lit: Float[Array, "pixels lights"],
     logarithm: Float[Array, "pixels lights"],
 ) -> tuple[Array, Array]:
-    """optimistix's own solver for each pixel: the values, and whether it converged."""
+    """Fit each pixel by optimistix's Levenberg-Marquardt.
+
+    **Arguments:** as in [`Samples`][].
+
+    **Returns:** estimates, (pixels, 10), in the order of `START`; whether each pixel
+    converged.
+    """
     start = jnp.asarray(START, target.dtype)
 
     def residual(y: Array, args: tuple[Array, Array, Array]) -> Array:
+        # y[9] is log f, and the lobe is exp(f log n·h).
         target, lit, logarithm = args
         lobe = jnp.where(lit > 0, jnp.exp(jnp.exp(y[9]) * logarithm), 0)
         light = (
@@ -111,7 +119,7 @@ def _vmapped(
 
 
 def vmapped_lm(stack: Stack, pixels: int) -> MethodResult:
-    """Fit `pixels` pixels at once by optimistix's Levenberg-Marquardt under `vmap`.
+    """Fit the first `pixels` pixels at once by optimistix's solver under `vmap`.
 
     All pixels take as many steps as the slowest one. The linear solver is the default
     one; normal equations take twice as long.
@@ -128,7 +136,10 @@ def vmapped_lm(stack: Stack, pixels: int) -> MethodResult:
 
 
 def scipy_loop(stack: Stack, pixels: int) -> MethodResult:
-    """Fit by a loop over SciPy's `least_squares`, with the map's bounds, in float64."""
+    """Fit the first `pixels` pixels by a loop over SciPy's `least_squares`, in float64.
+
+    The bounds are those of maps: [0, 1] for reflectances, [1, 1000] for f.
+    """
     part = samples(stack, pixels)
     low, high = np.zeros(UNKNOWNS), np.append(np.ones(9), np.log(1000))
     values, converged = [], []
@@ -139,7 +150,7 @@ def scipy_loop(stack: Stack, pixels: int) -> MethodResult:
         np.asarray(part.logarithm, float)[..., None],
         strict=True,
     ):
-
+        # Defaults bind this pixel's arrays: a closure would see the loop's last ones.
         def residual(y, target=target, lit=lit, logarithm=logarithm):
             lobe = np.where(lit > 0, np.exp(np.exp(y[9]) * logarithm), 0)
             return (AMBIENT * y[:3] + lit * y[3:6] + lobe * y[6:9] - target).ravel()
@@ -152,7 +163,11 @@ def scipy_loop(stack: Stack, pixels: int) -> MethodResult:
 
 
 def rows(pixels: int = 16_000, lights: int = 96, *, scipy: int = 200) -> list[Row]:
-    """Fit a map by all methods, by the loop only a few of its pixels."""
+    """Fit a map by all methods.
+
+    **Arguments:** `pixels`: of the map, about; `scipy`: number of them that the SciPy
+    loop fits, since it is slow.
+    """
     stack = make_stack(pixels, lights)
     maps = fit_stack(stack)
     values, errors = as_rows(maps)
@@ -173,12 +188,13 @@ def rows(pixels: int = 16_000, lights: int = 96, *, scipy: int = 200) -> list[Ro
 
 
 def as_rows(maps: pf.Maps) -> tuple[np.ndarray, np.ndarray]:
-    """A map's estimates and errors, (pixels, 10) each; the last column is for log f."""
-    leaves = ("ambient", "diffuse", "specular", "shininess")
+    """A map's estimates and errors, (pixels, 10) each, in the order of `START`."""
+    names = ("ambient", "diffuse", "specular", "shininess")
     values, errors = (
-        np.concatenate([getattr(of, name) for name in leaves], axis=-1, dtype=float)
-        for of in (maps, maps.stderr)
+        np.concatenate([getattr(part, name) for name in names], axis=-1, dtype=float)
+        for part in (maps, maps.stderr)
     )
+    # From f to log f, whose standard error is that of f over f.
     errors[..., 9] /= values[..., 9]
     values[..., 9] = np.log(values[..., 9])
     return values.reshape(-1, UNKNOWNS), errors.reshape(-1, UNKNOWNS)
@@ -192,13 +208,17 @@ def judge(
     errors: np.ndarray,
     truth: np.ndarray,
 ) -> Row:
-    """Compare a method's results with the map and the truth, in the map's errors."""
+    """Compare a method's results with the map and the truth, in the map's errors.
+
+    **Arguments:** `values`, `errors`: the map's, from [`as_rows`][]; `truth`: (pixels,
+    10). `result` has the first pixels of these.
+    """
     count = len(result.values)
     values, errors, truth = (array[:count] for array in (values, errors, truth))
     identified = np.isfinite(errors).all(axis=1)
     from_map, from_truth = (
-        np.abs(result.values - there)[identified] / errors[identified]
-        for there in (values, truth)
+        np.abs(result.values - reference)[identified] / errors[identified]
+        for reference in (values, truth)
     )
     return Row(
         name,

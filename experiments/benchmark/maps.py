@@ -1,6 +1,6 @@
-"""Maps of a synthetic stack: time for each pixel, and memory.
+"""Benchmark of maps of a synthetic stack: time for each pixel, and peak memory.
 
-From few pixels to millions; and the peak memory of a map of memory-mapped images,
+From ten thousand pixels to millions; memory is that of a map of memory-mapped images,
 measured in a separate process.
 """
 
@@ -21,19 +21,19 @@ from experiments.benchmark.timing import seconds
 
 
 def fit_stack(stack: Stack) -> pf.Maps:
-    """The map of a stack: from arrays to error bars."""
+    """Maps of a stack of images: estimates and standard errors of every pixel."""
     return pf.fit_maps(stack.scenes, stack.images, film=FREE)
 
 
 def map_seconds(stack: Stack, runs: int = 3) -> float:
-    """Seconds to fit a whole map."""
+    """Median seconds of `runs` fits of the maps of a stack."""
     return seconds(lambda: fit_stack(stack), runs)
 
 
 def scaling(
     sizes: tuple[int, ...] = (10_000, 100_000, 1_000_000, 4_000_000), lights: int = 24
 ) -> dict[int, float]:
-    """Seconds a pixel for maps of several sizes."""
+    """Seconds for each pixel, for maps of about so many pixels."""
     return {
         size: map_seconds(make_stack(size, lights), 1 if size > 200_000 else 9) / size
         for size in sizes
@@ -48,6 +48,7 @@ def peak_memory(pixels: int = 4_000_000, lights: int = 24) -> dict[str, float]:
     """
 
     def run(call: str) -> str:
+        """Output of a call of a function of this module in a new process."""
         code = f"from experiments.benchmark import maps; maps.{call}"
         command = [sys.executable, "-c", code]
         return subprocess.run(
@@ -61,11 +62,13 @@ def peak_memory(pixels: int = 4_000_000, lights: int = 24) -> dict[str, float]:
 
 
 def _write(folder: str, pixels: int, lights: int) -> None:
+    """Write a stack's images and normals as `stack.npy` and `normals.npy`."""
     stack = make_stack(pixels, lights, folder=Path(folder))
     np.save(Path(folder) / "normals.npy", stack.normals)
 
 
 def _map(folder: str) -> None:
+    """Fit the stack in a folder; print peak memory in GB, and seconds."""
     images = np.load(Path(folder) / "stack.npy", mmap_mode="r")
     lights, height, width, _ = images.shape
     surface = pf.NormalMap(np.load(Path(folder) / "normals.npy"))

@@ -1,4 +1,4 @@
-"""Normals with the material, next to stock Levenberg-Marquardt for every pixel.
+"""Benchmark of normals with materials, next to stock Levenberg-Marquardt per pixel.
 
 Both fit the same twelve numbers of a pixel by least squares: two of the normal, ρ_a,
 ρ_d, ρ_s of three channels, and log f. The peer starts at a surface that faces the
@@ -27,8 +27,9 @@ from experiments.benchmark.stack import AMBIENT, FREE, Stack, make_stack
 class Row:
     """Time and accuracy of one method to fit normals.
 
+    - `name`, `key`: its name in the printed table, and in the JSON file.
     - `seconds`: CPU time for each pixel.
-    - `degrees`: median angle from the truth.
+    - `degrees`: median angle between fitted and true normals.
     """
 
     name: str
@@ -42,12 +43,19 @@ class Row:
 def _vmapped(
     target: Float[Array, "pixels lights 3"], directions: Float[Array, "lights 3"]
 ) -> Array:
-    """optimistix's solver for each pixel: two slopes and the material's 10 unknowns."""
+    """Fit each pixel's normal and material by optimistix's Levenberg-Marquardt.
+
+    **Arguments:** `directions`: unit vectors to the lamps; the viewer is at +z.
+
+    **Returns:** (pixels, 12): n_x / n_z, n_y / n_z, then the unknowns of `START`: ρ_a,
+    ρ_d, ρ_s of three channels each, and log f.
+    """
     half = directions + jnp.asarray([0, 0, 1], directions.dtype)[None]
     half = half / jnp.linalg.norm(half, axis=-1, keepdims=True)
     start = jnp.concatenate([jnp.zeros(2), jnp.asarray(START)]).astype(target.dtype)
 
     def residual(y: Array, target: Array) -> Array:
+        # y[11] is log f, and the lobe is exp(f log n·h).
         normal = jnp.concatenate([y[:2], jnp.ones_like(y[:1])])
         normal = normal / jnp.linalg.norm(normal)
         lit, cosine = jnp.maximum(directions @ normal, 0), half @ normal
@@ -69,6 +77,7 @@ def _vmapped(
 
 
 def _degrees(normals: np.ndarray, stack: Stack) -> float:
+    """Median angle of the first pixels' unit normals, (pixels, 3), from the truth."""
     cosine = np.sum(normals * stack.normals.reshape(-1, 3)[: len(normals)], axis=-1)
     return float(np.rad2deg(np.median(np.arccos(np.clip(cosine, -1, 1)))))
 
@@ -85,7 +94,7 @@ def _timed(work: Callable[[], Any]) -> tuple[float, Any]:
 
 
 def rows(pixels: int = 16_000, lights: int = 49) -> list[Row]:
-    """Fit normals by both methods, on the same pixels."""
+    """Fit normals by both methods, on the same pixels; about `pixels` of them."""
     stack = make_stack(pixels, lights)
     target = stack.images.reshape(lights, -1, 3).transpose(1, 0, 2)
     given = jnp.asarray(np.ascontiguousarray(target)), jnp.asarray(stack.directions)

@@ -1,4 +1,4 @@
-"""Maps of photographs that do not fit into memory, and the time to read the files.
+"""Benchmark of maps of photographs that do not fit into memory.
 
 A ball under many lights is photographed in 20 megapixels, as JPEG files and as a zarr
 array of the same levels. `phongfit maps` makes a store of maps of either in one
@@ -31,12 +31,19 @@ VIEW = 1.2
 """World units from the lower to the upper edge, of a ball of radius 1."""
 
 NOISE = 0.005
+"""Standard deviation of the noise in linear light, where white is 1."""
 
 
 def make_photographs(folder: Path, megapixels: float, lights: int) -> pf.Scene:
     """Write photographs of a ball whose colours vary over its surface.
 
-    They are `.jpg` files with a `scene.json`, and the array `zarr/stack.zarr`.
+    They are sRGB `.jpg` files with a `scene.json`, and the array `zarr/stack.zarr` of
+    the values before JPEG compression.
+
+    **Arguments:** `folder`: an existing one; `lights`: number of photographs, each
+    under one lamp.
+
+    **Returns:** the scene with all lamps.
     """
     import zarr
 
@@ -57,6 +64,7 @@ def make_photographs(folder: Path, megapixels: float, lights: int) -> pf.Scene:
     array.attrs["encoding"] = "srgb"
     rng = np.random.default_rng(0)
     noise = rng.normal(0, NOISE, (height, width, 3)).astype(np.float32)
+    # The 8-bit sRGB level of linear light in steps of 16 bits, since a table is faster.
     table = to_levels(np.arange(2**16) / (2**16 - 1), "srgb", 8)
     for number, direction in enumerate(directions):
         image = np.empty((height, width, 3), np.uint8)
@@ -64,6 +72,7 @@ def make_photographs(folder: Path, megapixels: float, lights: int) -> pf.Scene:
         for start in range(0, height, 256):
             rows = slice(start, min(start + 256, height))
             light = _light(camera, rows, direction)
+            # One array of noise, shifted by another number of columns in each image.
             light += np.roll(noise, 7919 * number, axis=1)[rows]
             image[rows] = table[(np.clip(light, 0, 1) * (2**16 - 1)).astype(np.uint16)]
         Image.fromarray(image).save(
@@ -76,7 +85,10 @@ def make_photographs(folder: Path, megapixels: float, lights: int) -> pf.Scene:
 def _light(
     camera: pf.OrthographicCamera, rows: slice, direction: np.ndarray
 ) -> np.ndarray:
-    """Render some rows of the striped ball by Blinn's model."""
+    """Render some rows of the striped ball by Blinn's model, linear, not clamped.
+
+    **Arguments:** `direction`: unit vector to the lamp.
+    """
     pixel = VIEW / camera.height
     x = (np.arange(camera.width, dtype=np.float32) + 0.5 - camera.width / 2) * pixel
     y = (camera.height / 2 - np.arange(rows.start, rows.stop) - 0.5) * pixel
@@ -84,6 +96,7 @@ def _light(
     inside = x**2 + y**2 < 1
     normals = np.stack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 0))], axis=-1)
     lit, logarithm = cosines(normals, direction)
+    # ρ_d is `paint`, ρ_a 0.4 times that, ρ_s 0.2, and f varies from 10 to 30.
     paint = np.stack([0.35 + 0.1 * np.sin(k * 5 * x + y) for k in (1, 2, 3)], axis=-1)
     lobe = np.where(lit > 0, np.exp((20 + 10 * np.sin(4 * y)) * logarithm), 0)
     light = AMBIENT * 0.4 * paint + lit[..., None] * paint + 0.2 * lobe[..., None]
@@ -91,7 +104,10 @@ def _light(
 
 
 def measure(folder: Path) -> dict[str, Any]:
-    """Seconds and peak memory of reading and of fitting, for each file format."""
+    """Seconds and peak memory of reading and of fitting, for each file format.
+
+    **Arguments:** `folder`: with the files of [`make_photographs`][].
+    """
     numbers: dict[str, Any] = {}
     for kind, source in (("jpeg", folder), ("zarr", folder / "zarr" / "stack.zarr")):
         out = folder / f"{kind}_maps.zarr"
@@ -110,7 +126,10 @@ def measure(folder: Path) -> dict[str, Any]:
 
 
 def _process(function: str, *arguments: str) -> tuple[float, int]:
-    """Seconds and peak bytes of a function, run in a new process."""
+    """Seconds and peak bytes of a function of this module, run in a new process.
+
+    The function prints its peak memory last.
+    """
     code = f"from {__spec__.name} import {function}; {function}(*{arguments!r})"
     command = [sys.executable, "-c", code]
     start = time.perf_counter()
@@ -120,6 +139,7 @@ def _process(function: str, *arguments: str) -> tuple[float, int]:
 
 
 def _read(source: str) -> None:
+    """Read all photographs of a zarr array or a folder, and print the peak memory."""
     if source.endswith(".zarr"):
         stack = pf.ZarrStack(source)
         _, height, width = stack.shape
@@ -133,6 +153,7 @@ def _read(source: str) -> None:
 
 
 def _fit(source: str, out: str) -> None:
+    """Run `phongfit maps` into the store `out`, and print the peak memory."""
     from phongfit.cli import main
 
     status = main(["maps", source, "-o", out, "--max-memory", "2G"])
@@ -147,8 +168,8 @@ if __name__ == "__main__":
     parser.add_argument("--folder", type=Path, help="keep the photographs there")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
-        place = options.folder or Path(temporary)
-        if not (place / "scene.json").exists():
-            place.mkdir(parents=True, exist_ok=True)
-            make_photographs(place, options.megapixels, options.lights)
-        print(json.dumps(measure(place), indent=2))
+        folder = options.folder or Path(temporary)
+        if not (folder / "scene.json").exists():
+            folder.mkdir(parents=True, exist_ok=True)
+            make_photographs(folder, options.megapixels, options.lights)
+        print(json.dumps(measure(folder), indent=2))

@@ -1,9 +1,9 @@
-"""One image of one material, next to stock solvers on the same residuals.
+"""Benchmark of one image of one material, next to stock solvers on the same residuals.
 
-One RGB image of a ball, 1 % noise, ten unknowns. All ways take turns in one process:
+One RGB image of a ball, 1 % noise, ten unknowns. All methods take turns in one process:
 
 - phongfit: the whole of `pf.fit`, from arrays to error bars, without a starting guess;
-  and of it the search for the solution alone, which is what the others do;
+  and the part of it that finds the solution, which is what the others do;
 - stock Levenberg-Marquardt of optimistix on the same residuals, from f = 8, with its
   default linear solver, also with OpenBLAS on one thread, which suits that better, and
   with normal equations;
@@ -61,12 +61,18 @@ class Row:
 
 Row.__init__.__doc__ = """**Arguments:**
 
-- `distance`: largest distance from the fit's answer, standard errors.
+- `name`, `key`: its name in the printed table, and in the JSON file.
+- `seconds`: median of its runs; `steps`: steps, or calls of the residuals for lmfit.
+- `distance`: largest difference of an estimate from that of `pf.fit`, in standard
+    errors.
 """
 
 
 def target(resolution: int) -> tuple[pf.Scene, np.ndarray]:
-    """The scene of the README, and a noisy image of it."""
+    """The scene of the README, and a noisy image of `resolution` × `resolution` pixels.
+
+    The image is linear and clipped to [0, 1].
+    """
     camera = pf.OrthographicCamera(resolution, resolution)
     scene = pf.Scene(
         pf.Sphere(), camera, (pf.DirectionalLight((1, 1, 2)),), ambient=0.3
@@ -77,26 +83,36 @@ def target(resolution: int) -> tuple[pf.Scene, np.ndarray]:
 
 
 def start(problem: Problem) -> Float[Array, " n"]:
-    """The starting guess as the solver's vector."""
+    """The starting guess of the other solvers, as phongfit's vector of unknowns.
+
+    It has reflectances as they are, and log f.
+    """
     reflectance, exponent = GUESS
     guess = np.where(problem.unknowns.logarithmic, np.log(exponent), reflectance)
     return jnp.asarray(guess.astype(problem.sigma.dtype))
 
 
 def search_function(scene: pf.Scene, image: np.ndarray) -> Callable[[], SearchResult]:
-    """A function that runs phongfit's search, from samples to the solution."""
+    """A function that runs phongfit's search, from samples to the solution.
+
+    It does as `pf.fit` does, with linear loss, unknown noise and at most 200 steps.
+    """
     setting = set_up(Specification(), scene, image)
     seen = seen_pixels(setting.sources)
     subset = choose_few(setting.sources, seen)
     first = None if subset is None else gather(setting.sources, subset)
     samples = gather(setting.sources, seen)
+    # Unknowns, loss, clamp, whether the noise is given, largest number of steps.
     settings = (setting.unknowns, pf.Linear(), setting.films[0].clamp, False, 200)
     return lambda: search(first, lambda: samples, *settings)
 
 
 @eqx.filter_jit
 def optimistix_lm(problem: Problem, y: Array, linear_solver: Any) -> optx.Solution:
-    """optimistix's solver on the same residuals."""
+    """Minimise phongfit's residuals by optimistix's Levenberg-Marquardt, from `y`.
+
+    **Arguments:** `linear_solver`: lineax's solver of the steps.
+    """
     return optx.least_squares(
         lambda y, problem: problem.residual(y).ravel(),
         optx.LevenbergMarquardt(1e-5, 1e-5, linear_solver=linear_solver),
@@ -108,17 +124,27 @@ def optimistix_lm(problem: Problem, y: Array, linear_solver: Any) -> optx.Soluti
 
 
 def adam(problem: Problem, y: Array, answer: Array) -> Callable[[], Any]:
-    """A function that minimises the mean square by Adam, compiled into one loop."""
+    """A function that minimises the mean square by optax's Adam, in one compiled loop.
+
+    It ends when log f is within 1e-3 of that in `answer`, or after `ADAM_MOST` steps.
+
+    **Arguments:** `y`: the starting guess, as [`start`][] returns it.
+
+    **Returns:** the function, which returns unknowns and number of steps.
+    """
     import optax
 
     rule = optax.adam(ADAM_RATE)
+    # Index of log f, the only logarithm among the unknowns.
     f = int(np.flatnonzero(problem.unknowns.logarithmic)[0])
 
     def loss(y: Array, problem: Problem) -> Array:
+        # Residuals are in units of σ, and renderers minimise differences of light.
         return jnp.mean((problem.residual(y) * problem.sigma) ** 2)
 
     @eqx.filter_jit
     def descend(problem: Problem, y: Array) -> tuple[Array, Array]:
+        # The state: unknowns, Adam's moments, number of steps.
         def unfinished(state: Any) -> Array:
             return (state[2] < ADAM_MOST) & (jnp.abs(state[0][f] - answer[f]) > 1e-3)
 
@@ -134,7 +160,11 @@ def adam(problem: Problem, y: Array, answer: Array) -> Callable[[], Any]:
 
 
 def rows(resolution: int, runs: int, console: Console) -> list[Row]:
-    """Time all methods, in turns."""
+    """Time all methods, in turns; those that are not installed are left out.
+
+    **Arguments:** `resolution`: width and height of the image, pixels; `runs`: timed
+    runs of each method.
+    """
     scene, image = target(resolution)
     fit = pf.fit(scene, image)
     problem, answer, y = (
@@ -151,9 +181,9 @@ def rows(resolution: int, runs: int, console: Console) -> list[Row]:
             lambda: optimistix_lm(problem, y, lx.Normal(lx.Cholesky())),
         ),
     }
-    one = "LM with OpenBLAS on one thread"
-    if installed("threadpoolctl", one, "pip install phongfit[benchmark]", console):
-        methods["lm_one"] = f"optimistix {one}", on_one_thread(methods["lm"][1])
+    name = "LM with OpenBLAS on one thread"
+    if installed("threadpoolctl", name, "pip install phongfit[benchmark]", console):
+        methods["lm_one"] = f"optimistix {name}", on_one_thread(methods["lm"][1])
     rate = f"rate {ADAM_RATE}, to 1e-3 in f"
     if installed("optax", "Adam", "pip install phongfit[benchmark]", console):
         methods["adam"] = f"Adam (optax), {rate}", adam(problem, y, answer)
@@ -169,6 +199,7 @@ def rows(resolution: int, runs: int, console: Console) -> list[Row]:
     timings = medians({key: method for key, (_, method) in methods.items()}, runs)
 
     def row(key: str) -> Row:
+        # Solvers return their results in three forms.
         seconds, result = timings[key]
         if key in ("fit", "search"):
             end, steps = answer, result.steps
@@ -184,7 +215,7 @@ def rows(resolution: int, runs: int, console: Console) -> list[Row]:
 
 
 def on_one_thread(work: Callable[[], Any]) -> Callable[[], Any]:
-    """A function that runs `work` with OpenBLAS, which JAX uses, on one thread."""
+    """A function that runs `work` while OpenBLAS, which JAX uses, has one thread."""
     from threadpoolctl import threadpool_limits
 
     def limited() -> Any:
@@ -195,7 +226,10 @@ def on_one_thread(work: Callable[[], Any]) -> Callable[[], Any]:
 
 
 def installed(module: str, name: str, cure: str, console: Console) -> bool:
-    """Whether a peer is installed; prints how to install it if not."""
+    """Whether a Python module is installed; if not, a line about it is printed.
+
+    **Arguments:** `name`: the method that needs it; `cure`: the command to install it.
+    """
     is_installed = importlib.util.find_spec(module) is not None
     if not is_installed:
         console.print(f"{name} is left out: {cure}", markup=False)

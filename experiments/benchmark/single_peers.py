@@ -1,6 +1,6 @@
-"""The fit of one image without JAX: by PyTorch's Adam and by lmfit.
+"""Fits of one image without JAX: by PyTorch's Adam and by lmfit.
 
-The residuals of phongfit, written for any array library.
+They minimise phongfit's residuals, written here for NumPy and for PyTorch.
 """
 
 import dataclasses
@@ -16,16 +16,20 @@ from phongfit.fitting.problem.problem import Problem
 from phongfit.maps.pixel.settings import MAP_PARAMETERS
 
 ADAM_RATE, ADAM_MOST = 0.03, 4000
+"""Learning rate of Adam, and its largest number of steps."""
 
 
 @dataclasses.dataclass(frozen=True)
 class WrittenOut:
-    """Samples that are used, and where in the solver's vector each parameter is.
+    """The pixels of a fit that are used, and the layout of its vector of unknowns.
 
-    - `ambient`, `diffuse`, `strength`, `target`: (3, samples).
-    - `logarithm`: (samples,), of the cosine from the highlight's centre.
-    - `sigma`: standard deviation of the noise; residuals are in units of it.
-    - `places`: indices in the solver's vector, for each of `MAP_PARAMETERS`.
+    - `ambient`, `diffuse`: basis images A and D, (3, pixels); `strength`: the specular
+        light of the lamp at each pixel, (3, pixels);
+    - `logarithm`: (pixels,), logarithm of the cosine of the angle from the highlight's
+        centre;
+    - `target`: the image, (3, pixels);
+    - `sigma`: standard deviation of the noise; residuals are in units of it;
+    - `places`: indices in the vector of unknowns, for each of `MAP_PARAMETERS`.
     """
 
     ambient: Any
@@ -37,7 +41,10 @@ class WrittenOut:
     places: tuple[np.ndarray, ...]
 
     def light(self, xp: Any, y: Any) -> Any:
-        """Linear light before the clamp, in NumPy or PyTorch."""
+        """Linear light, (3, pixels), not clamped.
+
+        **Arguments:** `xp`: NumPy or PyTorch; `y`: reflectances, and log f.
+        """
         ambient, diffuse, specular, shininess = (y[place] for place in self.places)
         lobe = xp.exp(xp.exp(shininess) * self.logarithm)
         return (
@@ -47,15 +54,17 @@ class WrittenOut:
         )
 
     def residual(self, xp: Any, y: Any, upper_tail: Callable[[Any], Any]) -> Any:
-        """(model − image) / σ, where the model is the mean of noisy, clamped light.
+        """(model − image) / σ, (3, pixels), where the model is a mean of clipped light.
 
-        See [`clipped_moments`][].
+        That is, the expectation of light plus noise after clipping to [0, 1]: see
+        [`clipped_moments`][].
 
-        **Arguments:** `upper_tail`: probability that a standard normal number is
-        larger.
+        **Arguments:** `xp`, `y`: as in `light`; `upper_tail`: function from z to the
+        probability that a standard normal number exceeds z.
         """
 
         def beyond(z: Any) -> Any:
+            """Expectation of max(n − z, 0) for a standard normal number n."""
             density = xp.exp(-(z**2) / 2) / math.sqrt(2 * math.pi)
             return density - z * upper_tail(z)
 
@@ -66,7 +75,10 @@ class WrittenOut:
 
 
 def written_out(problem: Problem) -> WrittenOut:
-    """A problem of one image, one lamp and no rounding, as NumPy's doubles."""
+    """The samples of a fit's problem as NumPy arrays of float64.
+
+    **Arguments:** `problem`: of one image under one lamp, clamped, not rounded.
+    """
     terms = problem.samples.channels.pixels.terms
     weight = np.asarray(problem.samples.weight)
     used = (weight > 0).all(axis=0)
@@ -74,6 +86,7 @@ def written_out(problem: Problem) -> WrittenOut:
     assert problem.clamp and problem.samples.step is None and terms.cosine.shape[1] == 1
 
     def kept(array: Any) -> np.ndarray:
+        """The used pixels of an array with three channels, (3, pixels)."""
         return np.asarray(array, float).reshape(3, -1)[:, used]
 
     cosine = np.asarray(terms.cosine, float).ravel()[used]
@@ -92,7 +105,14 @@ def written_out(problem: Problem) -> WrittenOut:
 def torch_adam(
     problem: WrittenOut, start: np.ndarray, answer: np.ndarray
 ) -> Callable[[], tuple[np.ndarray, int]]:
-    """A function that minimises the mean square by PyTorch's Adam, in float32."""
+    """A function that minimises the mean square by PyTorch's Adam, in float32.
+
+    It ends when log f is within 1e-3 of that in `answer`, or after `ADAM_MOST` steps.
+
+    **Arguments:** `start`: vector of unknowns to start from.
+
+    **Returns:** the function, which returns unknowns and number of steps.
+    """
     torch: Any = importlib.import_module("torch")
     names = ("ambient", "diffuse", "strength", "target", "logarithm")
     arrays = {
@@ -101,6 +121,7 @@ def torch_adam(
     }
     places = tuple(torch.tensor(place) for place in problem.places)
     samples = dataclasses.replace(problem, **arrays, places=places)
+    # Index of log f.
     (f,) = problem.places[MAP_PARAMETERS.index("shininess")]
 
     def upper_tail(z: Any) -> Any:
@@ -124,7 +145,12 @@ def torch_adam(
 def lmfit_leastsq(
     problem: WrittenOut, start: np.ndarray, lower: np.ndarray, upper: np.ndarray
 ) -> Callable[[], tuple[np.ndarray, int]]:
-    """A function that runs lmfit's `minimize` with its defaults, errors included."""
+    """A function that runs lmfit's `leastsq` with its defaults, errors included.
+
+    **Arguments:** `start`, `lower`, `upper`: vectors of unknowns: first guess, bounds.
+
+    **Returns:** the function, which returns unknowns and number of calls of residuals.
+    """
     lmfit: Any = importlib.import_module("lmfit")
     parameters = lmfit.Parameters()
     for k, (value, low, high) in enumerate(zip(start, lower, upper, strict=True)):
@@ -138,8 +164,8 @@ def lmfit_leastsq(
         return problem.residual(np, y, upper_tail).ravel()
 
     def minimize() -> tuple[np.ndarray, int]:
-        found = lmfit.minimize(residual, parameters, method="leastsq")
-        values = [parameter.value for parameter in found.params.values()]
-        return np.array(values), found.nfev
+        result = lmfit.minimize(residual, parameters, method="leastsq")
+        values = [parameter.value for parameter in result.params.values()]
+        return np.array(values), result.nfev
 
     return minimize

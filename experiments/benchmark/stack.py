@@ -1,4 +1,4 @@
-"""A made-up stack of images: a material per pixel, whose truth is known."""
+"""A synthetic stack of images, with a random known material and normal per pixel."""
 
 import dataclasses
 from pathlib import Path
@@ -9,6 +9,7 @@ import phongfit as pf
 from data_synth.lights import spread_directions
 
 AMBIENT = 0.3
+# Standard deviation, where white is 1.
 NOISE = 0.01
 FREE = pf.Film(clamp=False)
 # Unknowns of a pixel in the peers: ρ_a, ρ_d, ρ_s of three channels, and log f.
@@ -17,7 +18,13 @@ UNKNOWNS = 10
 
 @dataclasses.dataclass(frozen=True)
 class Stack:
-    """Scenes, images (L, H, W, 3), and each pixel's true unknowns."""
+    """Images of a surface under one lamp each, and the truth.
+
+    - `images`: (lights, H, W, 3), linear, not clamped;
+    - `truth`: (H, W, 10): ρ_a, ρ_d, ρ_s of three channels each, and log f;
+    - `normals`: (H, W, 3), unit vectors; `directions`: (lights, 3), unit vectors to the
+        lamps; in the camera's axes, where the viewer is at +z.
+    """
 
     scenes: tuple[pf.Scene, ...]
     images: np.ndarray
@@ -29,7 +36,10 @@ class Stack:
 def make_stack(
     pixels: int, lights: int, *, folder: Path | None = None, seed: int = 0
 ) -> Stack:
-    """A stack of about `pixels` random materials; memory-mapped if in a folder."""
+    """A stack of about `pixels` pixels.
+
+    **Arguments:** `folder`: for a memory-mapped `stack.npy`; `None`: in memory.
+    """
     rng = np.random.default_rng(seed)
     height = int(np.sqrt(pixels))
     width = pixels // height
@@ -65,7 +75,10 @@ def make_stack(
 def _light(
     unknowns: np.ndarray, normals: np.ndarray, direction: np.ndarray
 ) -> np.ndarray:
-    """Blinn's model for one light and a distant viewer."""
+    """Blinn's model for one lamp and a distant viewer, in linear light (H, W, 3).
+
+    **Arguments:** `unknowns`: as [`Stack`][] has the truth.
+    """
     lit, logarithm = (part[..., None] for part in cosines(normals, direction))
     lobe = np.where(lit > 0, np.exp(np.exp(unknowns[..., 9:]) * logarithm), 0)
     return (
@@ -80,7 +93,10 @@ def cosines(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Cosine n · l (0 from behind), and the logarithm of n · h for the half vector h.
 
-    **Arguments:** one direction and any normals, or the other way round.
+    The viewer is at +z; n · h counts as at least 1e-6.
+
+    **Arguments:** unit vectors, (…, 3), whose shapes broadcast: one direction and any
+    number of normals, or any numbers of both along different axes.
     """
     half = directions + np.array([0, 0, 1], directions.dtype)
     half /= np.linalg.norm(half, axis=-1, keepdims=True)

@@ -23,6 +23,7 @@ from jaxtyping import Float
 
 import phongfit as pf
 
+# Adam's learning rate.
 RATE = 0.03
 # Start of Adam: reflectances in mid-range, f = 8.
 START_REFLECTANCE, START_EXPONENT = 0.5, 8.0
@@ -37,7 +38,10 @@ mi.render(mi.load_dict(mi.cornell_box()), spp=1).numpy()
 
 
 def mitsuba_works() -> bool:
-    """Whether Mitsuba renders here, tried in another process since it may crash."""
+    """Whether Mitsuba renders here, tried in another process since it may crash.
+
+    If the variable `LIBRARY` of the environment is not set, it becomes the newest LLVM.
+    """
     if LIBRARY not in os.environ and (newest := _newest_llvm()) is not None:
         os.environ[LIBRARY] = newest
     tried = subprocess.run([sys.executable, "-c", PROBE], capture_output=True)
@@ -50,16 +54,20 @@ def _newest_llvm() -> str | None:
         known = subprocess.run(["ldconfig", "-p"], capture_output=True, text=True)
     except OSError:
         return None
-    found = re.findall(r"=> (\S*/libLLVM\D*(\d+)\S*)", known.stdout)
-    return max(found, key=lambda one: int(one[1]))[0] if found else None
+    # Pairs of path and version.
+    libraries = re.findall(r"=> (\S*/libLLVM\D*(\d+)\S*)", known.stdout)
+    newest = max(libraries, key=lambda library: int(library[1]), default=None)
+    return None if newest is None else newest[0]
 
 
 @dataclasses.dataclass(frozen=True)
 class Descent:
-    """Result of Adam.
+    """Result of a fit by Adam.
 
     - `seconds`: CPU time of the steps alone.
-    - `texels`: the texture; `shared`: ρ_s and f of each material.
+    - `steps`: number of steps taken.
+    - `texels`: the fitted texture.
+    - `shared`: fitted ρ_s and f of each material.
     """
 
     seconds: float
@@ -85,11 +93,11 @@ class Mitsuba:
         self.mi.register_bsdf("blinn", _blinn(self.mi, self.dr))
         mesh = scenes[0].surface
         assert isinstance(mesh, pf.Mesh)
-        none = np.full((rows, rows, 3), START_REFLECTANCE, np.float32)
+        uniform = np.full((rows, rows, 3), START_REFLECTANCE, np.float32)
         texture = self.mi.load_dict(
             {
                 "type": "bitmap",
-                "bitmap": self.mi.Bitmap(none),
+                "bitmap": self.mi.Bitmap(uniform),
                 "raw": True,
                 "filter_type": "bilinear",
                 "wrap_mode": "repeat",
@@ -133,6 +141,7 @@ class Mitsuba:
         return mesh_part
 
     def _scene(self, scene: pf.Scene, parts: list[Any]) -> Any:
+        """Mitsuba's scene of mesh parts under the lamp of `scene`, without a camera."""
         (lamp,) = scene.lights
         assert isinstance(lamp, pf.DirectionalLight)
         away = (-np.asarray(lamp.direction, float)).tolist()
@@ -175,7 +184,11 @@ class Mitsuba:
     def picture(
         self, which: int, texels: np.ndarray, shared: np.ndarray
     ) -> Float[np.ndarray, "height width 3"]:
-        """Render scene number `which` with these texels and these ρ_s and f."""
+        """Render scene number `which`, in linear light.
+
+        **Arguments:** `texels`: (rows, columns, 3); `shared`: ρ_s and f of each
+        material, (materials, 2).
+        """
         unknowns = self._start_unknowns()
         unknowns["texels"] = self.mi.TensorXf(texels.astype(np.float32))
         for name, values in zip(
@@ -187,6 +200,7 @@ class Mitsuba:
         return np.array(self._render(which))
 
     def _render(self, which: int) -> Any:
+        """Image of scene number `which`, differentiable in the current parameters."""
         scene, camera = self.scenes[which], self.cameras[which]
         return self.mi.render(scene, params=self.parameters, sensor=camera, spp=1)
 
@@ -207,6 +221,7 @@ class Mitsuba:
         return unknowns
 
     def _show(self, unknowns: Any) -> None:
+        """Set the scenes' parameters to the current values of the unknowns."""
         self.parameters[self.texels] = unknowns["texels"]
         for name, keys in self.shared.items():
             for k, key in enumerate(keys):
@@ -219,7 +234,15 @@ class Mitsuba:
         near_enough: Callable[[np.ndarray], bool],
         max_steps: int,
     ) -> Descent:
-        """Minimise the mean square by Adam until the texels are near enough."""
+        """Minimise the mean square residual by Adam until the texels are near enough.
+
+        **Arguments:**
+
+        - `images`: photographs of all scenes, in linear light clamped at 1.
+        - `near_enough`: whether texels (rows, columns, 3) need no more steps; called
+            every tenth step, and its time does not count.
+        - `max_steps`: steps after which Adam ends in any case.
+        """
         dr, targets = self.dr, [self.mi.TensorXf(one) for one in images]
         unknowns, seconds, steps = self._start_unknowns(), 0.0, 0
         while steps < max_steps:
@@ -250,16 +273,20 @@ class Mitsuba:
 
 
 def _flat(values: np.ndarray) -> np.ndarray:
+    """Values as a one-dimensional array of float32, as Mitsuba's meshes want them."""
     return np.ascontiguousarray(values, np.float32).ravel()
 
 
 def _blinn(mi: Any, dr: Any) -> Callable[[Any], Any]:
     """A BSDF class for Mitsuba with the formulas of [`BlinnPhong`][], not normalised.
 
-    The parameters are a diffuse texture, ρ_s and log f.
+    The parameters are a diffuse texture, ρ_s and log f. Vectors are in Mitsuba's local
+    frame, whose z is the normal.
     """
 
     class Blinn(mi.BSDF):
+        """Reflection under distant lamps alone: directions are never sampled."""
+
         def __init__(self, properties: Any):
             mi.BSDF.__init__(self, properties)
             self.diffuse = properties["diffuse"]
@@ -269,15 +296,18 @@ def _blinn(mi: Any, dr: Any) -> Callable[[Any], Any]:
             self.m_components, self.m_flags = [flags], flags
 
         def traverse(self, callback: Any) -> None:
+            """Register the differentiable parameters with Mitsuba's traversal."""
             for name in ("diffuse", "specular", "log_shininess"):
                 value = getattr(self, name)
                 callback.put(name, value, mi.ParamFlags.Differentiable)
 
         def sample(self, context: Any, point: Any, *rest: Any) -> Any:
+            """Zeros: required by Mitsuba, but the integrator takes no such samples."""
             del context, point, rest
             return dr.zeros(mi.BSDFSample3f), mi.Spectrum(0)
 
         def eval(self, context: Any, point: Any, to_light: Any, active: Any) -> Any:
+            """Light towards the viewer (`point.wi`), with the factor n · l included."""
             del context
             cosine = dr.maximum(dr.normalize(point.wi + to_light).z, 1e-6)
             lobe = dr.exp(dr.exp(self.log_shininess) * dr.log(cosine))
@@ -286,10 +316,12 @@ def _blinn(mi: Any, dr: Any) -> Callable[[Any], Any]:
             return dr.select(lit, matte + self.specular * lobe, 0)
 
         def pdf(self, context: Any, point: Any, to_light: Any, active: Any) -> Any:
+            """0, the probability density of a direction, since none is sampled."""
             del context, point, to_light, active
             return mi.Float(0)
 
         def eval_pdf(self, context: Any, point: Any, to_light: Any, active: Any) -> Any:
+            """The results of `eval` and of `pdf`."""
             light = self.eval(context, point, to_light, active)
             return light, mi.Float(0)
 

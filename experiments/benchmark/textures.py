@@ -1,4 +1,4 @@
-"""Texels of a mesh, and what its materials share, next to Adam through Mitsuba 3.
+"""Benchmark of texels, with ρ_s and f of materials, next to Adam through Mitsuba 3.
 
 The vase of [`experiments.textured_object`][]: a checkered diffuse texture, of two
 materials ρ_s and f; photographs of 8 bits with 1 % noise from eight places under two
@@ -32,6 +32,7 @@ from experiments.textured_object import (
 )
 
 MAX_STEPS = 3000
+# Adam has arrived if its error is at most this multiple of that of `fit_texture`.
 NEAR = 1.05
 
 
@@ -39,8 +40,9 @@ NEAR = 1.05
 class Row:
     """Time and accuracy of one method to fit texels.
 
+    - `name`, `key`: its name in the printed table, and in the JSON file.
     - `seconds`: CPU time; for Adam, of its steps alone.
-    - `error`: root mean square of fitted − true texels.
+    - `error`: root mean square of fitted − true values of the texels.
     - `arrived`: whether the error is at most 5 % larger than that of `fit_texture`.
     """
 
@@ -68,6 +70,7 @@ def rows(size: Size = SMALL, max_steps: int = MAX_STEPS) -> list[Row]:
     seen = fitted.seen[0] >= 3
 
     def error(texels: np.ndarray) -> float:
+        """Root mean square error of the texels that three pixels or more see."""
         return float(np.sqrt(np.mean((texels - true)[seen] ** 2)))
 
     ours = error(fitted.values["diffuse"][0])
@@ -80,7 +83,7 @@ def rows(size: Size = SMALL, max_steps: int = MAX_STEPS) -> list[Row]:
         def near_enough(texels: np.ndarray) -> bool:
             return error(texels) <= NEAR * ours
 
-        # Compiles.
+        # Two steps compile its programs; their time does not count.
         mitsuba.descend(images, near_enough, 2)
         end = mitsuba.descend(images, near_enough, max_steps)
         last = error(end.texels)

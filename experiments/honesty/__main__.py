@@ -29,6 +29,7 @@ from experiments.honesty.table import LEGEND, summary, table
 from experiments.output import JsonFile, check_outputs, save_numbers
 from phongfit.cli import run
 
+# Number of draws with `--small`.
 FEW = 20
 # Letters in a line of the table, if it is not printed to a terminal.
 WIDTH = 140
@@ -51,9 +52,9 @@ def main(
     Args:
         small: 20 draws: coarse.
         draws: Number of draws of each situation; default 100. A draw of maps has 100
-        pixels.
-        only: Situations whose name holds one of these; default all.
-        precision: One of them, or both side by side.
+            pixels.
+        only: Situations with such a name, or whose names contain it; default all.
+        precision: Bits of floating-point numbers: one of them, or both side by side.
         seed: Seed of the draws.
         json: File for the numbers.
     """
@@ -95,7 +96,13 @@ def main(
 
 
 def select(situations: list[Situation], only: tuple[str, ...]) -> list[Situation]:
-    """Situations with a name in `only`, or else those whose names contain one."""
+    """Situations chosen by their names.
+
+    **Arguments:** `only`: each entry chooses the situation of that name, or if there is
+    none those whose names contain it. Empty: all.
+
+    **Raises:** `ValueError` for an entry that no name contains.
+    """
     if not only:
         return situations
     names = {situation.name for situation in situations}

@@ -1,4 +1,7 @@
-"""Estimates, errors and warnings of many draws of a situation, and the truth."""
+"""Estimates, errors and warnings of many draws of a situation, and the truth.
+
+A draw is one repetition: data with fresh noise, and the fit of them.
+"""
 
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
@@ -12,19 +15,20 @@ from phongfit.fitting.problem.layout import first_values
 
 Scenes: TypeAlias = pf.Scene | Sequence[pf.Scene]
 LEVEL = 0.95
+"""Confidence of the intervals that are judged."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Answers:
     """Numbers of every draw and parameter, and the warnings of every draw.
 
-    - `labels`: the parameters;
-    - `truth`, `estimate`, `error`: the error is infinite if not identified;
-    - `low`, `high`: ends of the intervals with a confidence of `LEVEL`;
+    - `labels`: of the parameters, as fits have them, such as `"diffuse.red"`;
+    - `truth`, `estimate`; `error`: the standard error, infinite if not identified;
+    - `low`, `high`: ends of the intervals with a confidence of 95 % (`LEVEL`);
     - `at_bound`: whether an estimate lies on its bound;
-    - `bounds`: lower and upper bounds of the parameters;
-    - `warnings`: sentences. A draw whose fit raised an error has its message here, NaN
-        for its estimates, and infinite errors.
+    - `bounds`: lower and upper bound of each parameter;
+    - `warnings`: sentences, for each draw. A draw whose fit raised an error has its
+        message here, after `REFUSED`; its errors are infinite, its other numbers NaN.
     """
 
     labels: tuple[str, ...]
@@ -41,9 +45,10 @@ class Answers:
 class Trial(NamedTuple):
     """Arguments of one draw's fit, and the truth.
 
-    - `scene`, `image`, `options`: of [`phongfit.fit`][];
-    - `scenes`, `material`: the true ones;
-    - `others`: label → truth of parameters of neither scenes nor material: exposures.
+    - `scene`, `image`, `options`: arguments of [`phongfit.fit`][];
+    - `scenes`, `material`: the true ones, of which `image` was made;
+    - `others`: true values by label, of unknowns whose truth is not in scenes or
+        material, such as exposures.
     """
 
     scene: Scenes
@@ -55,7 +60,7 @@ class Trial(NamedTuple):
 
 
 class DrawAnswer(NamedTuple):
-    """One draw's part of [`Answers`][]."""
+    """One draw's part of [`Answers`][]: arrays of shape (parameters,)."""
 
     truth: np.ndarray
     estimate: np.ndarray
@@ -67,10 +72,11 @@ class DrawAnswer(NamedTuple):
 
 
 REFUSED = "refused: "
+"""Beginning of the message of a draw whose fit raised an error."""
 
 
 def fit_trials(trials: Iterable[Trial]) -> Answers:
-    """Fit many draws; a draw whose fit raises `ValueError` counts as refused."""
+    """Fit many draws; a fit that raises `ValueError` gives a message, not estimates."""
     draws: list[DrawAnswer | str] = []
     labels, bounds = (), np.zeros((0, 2))
     for trial in trials:
@@ -85,7 +91,7 @@ def fit_trials(trials: Iterable[Trial]) -> Answers:
 
 
 def answer_of_fit(fit: pf.Fit, trial: Trial) -> DrawAnswer:
-    """Estimates, errors and warnings of one fit."""
+    """Estimates, errors, intervals and warnings of one fit, with the truth."""
     low, high = fit.intervals(LEVEL).T
     truth = true_values(fit, trial)
     parts = truth, fit.values, fit.errors, low, high, fit.at_bound
@@ -93,7 +99,7 @@ def answer_of_fit(fit: pf.Fit, trial: Trial) -> DrawAnswer:
 
 
 def true_values(fit: pf.Fit, trial: Trial) -> np.ndarray:
-    """The truth in the order of a fit's labels."""
+    """The true values in the order of `fit.labels`."""
     unknowns = fit.solution.problem.unknowns
     values = first_values(unknowns.parameters, trial.scenes, trial.material)
     truths = {**dict(zip(unknowns.entry_labels, values, strict=True)), **trial.others}
@@ -105,12 +111,13 @@ def join_draws(
     bounds: Float[np.ndarray, "parameters 2"],
     draws: Sequence[DrawAnswer | str],
 ) -> Answers:
-    """Join the answers of draws; a draw that was refused is a message."""
+    """Join the answers of draws; a draw whose fit raised an error is its message."""
     empty = np.full(len(labels), np.nan)
     refused = empty, empty, empty + np.inf, empty, empty, np.zeros(len(labels), bool)
     rows = [
         DrawAnswer(*refused, (one,)) if isinstance(one, str) else one for one in draws
     ]
     *numbers, warnings = zip(*rows, strict=True)
+    # If no draw has an answer there are no labels, and the shape is (draws, 0).
     columns: Any = [np.array(column).reshape(len(rows), -1) for column in numbers]
     return Answers(labels, *columns, bounds=bounds, warnings=tuple(warnings))

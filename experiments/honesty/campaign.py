@@ -1,4 +1,4 @@
-"""Runs of situations, in one precision or in both at a time."""
+"""Runs of situations, in one floating-point precision or in both at a time."""
 
 import dataclasses
 import json
@@ -26,7 +26,10 @@ LEAST = 2
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """Verdict on one situation in one precision, and the seconds that it took."""
+    """Verdict on one situation in one precision, and the seconds that it took.
+
+    `bits` is the precision: 32 or 64.
+    """
 
     name: str
     kind: str
@@ -41,14 +44,18 @@ class Row:
 
 
 def own_bits() -> int:
-    """Precision of this process, 32 or 64 bits."""
+    """Number of bits of this process's floats, 32 or 64."""
     return 64 if jnp.result_type(float) == jnp.float64 else 32
 
 
 def run_situation(situation: Situation, draws: int, seed: int) -> Row:
-    """Run one situation; each draw has its own generator, independent of the others."""
+    """Run one situation; each draw has its own generator, independent of the others.
+
+    **Arguments:** `draws`: number of draws of situations with `draw_fraction` 1.
+    """
     began = time.perf_counter()
     count = max(round(draws * situation.draw_fraction), min(draws, LEAST))
+    # The same number in every process, unlike `hash`.
     key = zlib.crc32(situation.name.encode())
     rngs = [np.random.default_rng((seed, key, draw)) for draw in range(count)]
     verdict = judge(
@@ -63,7 +70,10 @@ def run_situation(situation: Situation, draws: int, seed: int) -> Row:
 
 
 def pooled_faults(rows: Sequence[Row]) -> tuple[str, ...]:
-    """A sentence for each precision with too many false alarms over all situations."""
+    """A sentence for each precision with too many false alarms.
+
+    All draws of right models count together.
+    """
     sentences = []
     for bits in sorted({row.bits for row in rows}):
         alarms, draws = count_false_alarms(rows, bits)
@@ -75,9 +85,10 @@ def pooled_faults(rows: Sequence[Row]) -> tuple[str, ...]:
 
 
 def count_false_alarms(rows: Iterable[Row], bits: int) -> tuple[int, int]:
-    """False alarms, and draws of right models, in one precision.
+    """Number of false alarms, and of draws of right models, in one precision.
 
-    A map's pixels are not counted with the draws of fits, which they would outnumber.
+    Situations whose name begins with "maps" are left out: their draws are pixels, which
+    would outnumber the others.
     """
     right = [
         row.verdict
@@ -90,10 +101,13 @@ def count_false_alarms(rows: Iterable[Row], bits: int) -> tuple[int, int]:
 
 
 class OtherPrecision:
-    """The campaign in the other precision, in another process."""
+    """The campaign in the other precision, in another process.
+
+    A context manager that ends the process.
+    """
 
     def __init__(self, bits: int, only: Sequence[str], draws: int, seed: int):
-        """Start the process."""
+        """Start the process, with these options of `python -m experiments.honesty`."""
         self._folder = tempfile.TemporaryDirectory()
         self._path = Path(self._folder.name) / "rows.json"
         command = [sys.executable, "-m", "experiments.honesty"]
@@ -112,7 +126,7 @@ class OtherPrecision:
     def __enter__(self) -> "OtherPrecision":
         return self
 
-    def __exit__(self, *what: object) -> None:
+    def __exit__(self, *exception: object) -> None:
         # Interrupting this process also ends the other one.
         if self._process.poll() is None:
             self._process.kill()
@@ -125,6 +139,7 @@ class OtherPrecision:
         **Raises:** `RuntimeError` with the end of its error output, if it failed.
         """
         _, errors = self._process.communicate()
+        # Status 1: it ran, and a situation failed.
         if self._process.returncode not in (0, 1) or not self._path.exists():
             raise RuntimeError(f"the other precision failed:\n{errors[-2000:]}")
         numbers = json.loads(self._path.read_text(encoding="utf-8"))
@@ -132,12 +147,13 @@ class OtherPrecision:
 
 
 def row_from_json(row: dict[str, Any]) -> Row:
-    """A row from JSON, which has no NaN and no tuples."""
+    """A row from JSON, in which null stands for NaN and lists for tuples."""
     verdict = {name: _value(value) for name, value in row.pop("verdict").items()}
     return Row(**row, verdict=Verdict(**verdict))
 
 
 def _value(value: Any) -> Any:
+    """A value from JSON: NaN for null, a tuple for a list, others as they are."""
     if value is None:
         return np.nan
     return tuple(value) if isinstance(value, list) else value

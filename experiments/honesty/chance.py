@@ -1,4 +1,4 @@
-"""Tests of fractions of few draws.
+"""Statistical tests of fractions, with limits that allow for the number of draws.
 
 A fraction fails if it is beyond its limit by more than sampling error explains: if the
 true fraction were exactly at the limit, one test in `1 / CHANCE` would fail. A campaign
@@ -12,12 +12,17 @@ from scipy.stats import binom
 from experiments.honesty.answers import LEVEL
 
 CHANCE = 1e-5
+"""Probability that a test fails by chance."""
 
 Each = Bool[np.ndarray, "draws parameters"]
+"""A mark of every number: true or false for each draw and parameter."""
 
 
 def fraction(holds: np.ndarray, counted: np.ndarray | bool = True) -> float:
-    """Fraction of the counted entries that hold; NaN if none is counted."""
+    """Fraction of the counted entries where `holds` is true; NaN if none is counted.
+
+    **Arguments:** `counted`: of the shape of `holds`; `True` counts all.
+    """
     counted = np.broadcast_to(counted, holds.shape)
     return float((holds & counted).sum() / counted.sum()) if counted.any() else np.nan
 
@@ -25,12 +30,16 @@ def fraction(holds: np.ndarray, counted: np.ndarray | bool = True) -> float:
 def coverage_limits(
     inside: Each, counted: Each, nominal: tuple[float, float]
 ) -> tuple[float, float]:
-    """Smallest and largest fraction of intervals with the truth that is no fault.
+    """Smallest and largest coverage that is no fault: `nominal`, widened for few draws.
 
-    This is `nominal`, widened by the sampling error of the fraction.
+    Coverage is the fraction of the counted 95 % intervals that contain the truth. The
+    limits are widened to the quantiles of a binomial fraction of mean 95 %.
 
-    Parameters of one draw are correlated. The number of independent intervals is
+    Parameters of one draw are correlated, so the number of independent intervals is
     estimated from the scatter between draws.
+
+    **Arguments:** `inside`: whether an interval contains the truth; `counted`: whether
+    it counts; `nominal`: limits for many draws.
 
     ??? cite "Source"
         Kish, *Survey sampling*, 1965, on the design effect: the variance of a
@@ -52,5 +61,5 @@ def coverage_limits(
 
 
 def too_many(count: int, draws: int, nominal: float) -> bool:
-    """Whether `count` draws are significantly more than the fraction `nominal`."""
+    """Whether `count` of `draws` is significantly more than the fraction `nominal`."""
     return bool(count > max(nominal * draws, binom.isf(CHANCE, draws, nominal)))

@@ -1,15 +1,20 @@
 """Verdict on a situation, from the answers of its draws.
 
-- 95 % intervals must contain the truth in 92-98 % of the cases with a finite error and
-  without a warning: over all parameters, and for each of them. In draws with an
-  estimate at its bound, intervals of the other parameters must do so in 80 %.
-- Of the draws with an estimate that is far off, 99 % must have a warning.
-- With a right model, at most 1 % of the draws may have a warning about the fit.
-- A parameter that the data do not identify must not have a small error.
+- Unless the model is wrong: 95 % intervals must contain the truth in at least 92 % of
+  the cases with a finite error and without a warning about the fit: over all
+  parameters, and for each of them. Over all it must also be at most 98 %, unless the
+  situation allows wide intervals or an estimate lies on its bound. In draws with an
+  estimate at its bound, intervals of the other parameters must contain it in 80 %.
+- At most 1 % of the draws may have an estimate that is far off and no warning about the
+  fit: of all draws, or for a wrong model of those that are far off.
+- With a right model, at most 1 % of the draws may have a warning about the fit; and if
+  all parameters are identifiable, at most 20 % of the errors may be infinite.
+- In at most 1 % of the draws, a parameter that the data do not identify may have a
+  small error.
 - Where a situation names a warning, at most 1 % of the draws may lack it.
 
-With few draws the limits are wider, by the sampling error of a fraction: see
-`experiments/honesty/chance.py`.
+For intervals, false alarms and small errors the limits are wider if there are few
+draws, by the sampling error of a fraction: see `experiments/honesty/chance.py`.
 """
 
 import dataclasses
@@ -30,6 +35,7 @@ Kind = Literal["right", "open", "doubtful", "wrong"]
 - `doubtful`: an answer is right or has a warning;
 - `wrong`: the model is wrong, and an answer that is far off has a warning."""
 
+# Kinds with a right model, in which a warning about the fit is a false alarm.
 RIGHT_KINDS = ("right", "open")
 # Range of the fraction of 95 % intervals that contain the truth: in general, and for
 # parameters beside another one that is on its bound.
@@ -39,9 +45,10 @@ COVERAGE_BESIDE_BOUND = (0.8, 1.0)
 MAX_FALSE_ALARMS = 0.01
 # Largest fraction of draws that may mislead, or lack a warning that is required.
 MAX_MISSING_WARNINGS = 0.01
-# An error is small if its interval takes less than this fraction of the bounds.
+# An error is small if the interval takes less than this fraction of the range between
+# the parameter's bounds.
 SMALL_INTERVAL = 0.25
-# A right model with more infinite errors than this fraction was not fitted at all.
+# Largest fraction of infinite errors where all parameters are identifiable.
 MAX_INFINITE = 0.2
 
 
@@ -49,14 +56,14 @@ MAX_INFINITE = 0.2
 class Verdict:
     """Summary of the draws of one situation; NaN where nothing could be judged.
 
-    - `coverage`: fraction of the intervals that contain the truth, of draws without a
-        warning about the fit: over all parameters; `at_bound` over those on a bound,
-        `beside_bound` over the other parameters of such draws;
+    - `coverage`: fraction of the intervals that contain the truth, in draws without a
+        warning about the fit: over all parameters; `at_bound`: over those on a bound;
+        `beside_bound`: over the other parameters of such draws;
     - `worst`, `worst_label`: coverage and label of the parameter with the lowest one;
     - `pulls`: root mean square of (estimate − truth) / error, away from the bounds;
     - `warned`: fraction of draws with a warning about the fit, or without an answer;
     - `far`: fraction of draws with an estimate far off, see `FAR`;
-        `misled`: fraction of draws with one and without a warning;
+        `misled`: fraction of draws that are, and have no warning about the fit;
     - `infinite`: fraction of the standard errors that are infinite;
     - `faults`: criteria that are not met, as sentences; `notes`: remarks;
     - `codes`: codes of warnings about the fit, and how many draws had each.
@@ -89,9 +96,10 @@ def judge(
 
     **Arguments:**
 
-    - `kind`: whether the model is right, doubtful or wrong in this situation.
-    - `unidentifiable`: parameters, or labels, that the data cannot identify.
-    - `wide`: whether intervals may be too wide here.
+    - `kind`: what is expected of the fits, see [`Kind`][].
+    - `unidentifiable`: parameters that the data cannot identify: labels, or names such
+        as `"specular"` for all channels.
+    - `wide`: whether intervals may contain the truth too often here.
     - `required_warning`: part of a warning, such as a code, that every draw must have.
     """
     marks, labels = compare(answers), answers.labels
@@ -103,7 +111,7 @@ def judge(
         *(["intervals are too wide"] if too_wide and not allowed else ()),
         *_missing_warnings(marks, kind),
         *(_false_alarms(marks, kind) if kind in RIGHT_KINDS else ()),
-        *_small_errors(answers, unidentifiable, ~marks.warned),
+        *_overconfident_errors(answers, unidentifiable, ~marks.warned),
         *_missing_required(answers, required_warning),
         *(
             f"a warning of unknown kind: {sentence}"
@@ -144,7 +152,7 @@ def _false_alarms(marks: Marks, kind: Kind) -> list[str]:
     if too_many(marks.warned.sum(), len(marks.warned), MAX_FALSE_ALARMS):
         faults.append(f"{marks.warned.mean():.1%} of the draws are false alarms")
     if kind == "right" and fraction(~marks.finite) > MAX_INFINITE:
-        faults.append("too many parameters are said not to be identifiable")
+        faults.append("too many parameters have an infinite error")
     return faults
 
 
@@ -170,7 +178,7 @@ def _short_intervals(labels: tuple[str, ...], marks: Marks) -> list[str]:
 
 
 def _missing_warnings(marks: Marks, kind: Kind) -> list[str]:
-    """Fault of too many draws that are far off and have no warning.
+    """Fault of too many draws that are far off and have no warning about the fit.
 
     The limit is a fraction of the draws that are far off for a wrong model, and of all
     draws for others.
@@ -184,7 +192,7 @@ def _missing_warnings(marks: Marks, kind: Kind) -> list[str]:
     ]
 
 
-def _small_errors(
+def _overconfident_errors(
     answers: Answers, unidentifiable: tuple[str, ...], trusted: np.ndarray
 ) -> list[str]:
     """Faults of parameters that the data cannot identify, yet have small errors.
@@ -210,7 +218,7 @@ def _small_errors(
 
 
 def _missing_required(answers: Answers, required: str) -> list[str]:
-    """Fault of draws without the warning that is required of each."""
+    """Fault of draws that lack the required warning; none if `required` is ""."""
     count = sum(
         all(required not in sentence for sentence in sentences)
         for sentences in answers.warnings
@@ -221,8 +229,8 @@ def _missing_required(answers: Answers, required: str) -> list[str]:
 
 
 def _lowest_coverage(labels: tuple[str, ...], marks: Marks) -> tuple[float, str]:
-    """Lowest coverage of any parameter, and that parameter's label."""
-    # The coverage of few draws is too uncertain.
+    """Lowest coverage of any parameter, and that parameter's label; else NaN and ""."""
+    # Parameters with few intervals are left out: their coverage is too uncertain.
     fewest = max(10, len(marks.warned) // 10)
     coverage = {
         label: fraction(marks.covered[:, k], marks.trusted[:, k])

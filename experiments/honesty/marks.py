@@ -1,4 +1,4 @@
-"""Checks of every number of the draws, and of every draw."""
+"""Marks of every number of the draws, such as far off, and of every draw."""
 
 import dataclasses
 
@@ -22,14 +22,17 @@ ROUNDING = 1e-12
 
 @dataclasses.dataclass(frozen=True)
 class Marks:
-    """Answers next to the truth.
+    """Marks that compare estimates with the truth.
 
-    - `finite`: whether a number has a finite error;
-    - `trusted`: whether it is finite and its draw has no warning about the fit;
-    - `covered`: whether its interval contains the truth;
-    - `on_bound`: whether it is trusted and lies on its bound;
-    - `off`: whether it is far from the truth, see `FAR`;
-    - `warned`: whether a draw has a warning about the fit, or no answer.
+    Of each estimate:
+
+    - `finite`: it has a finite error;
+    - `trusted`: its error is finite and its draw has no warning about the fit;
+    - `covered`: its interval contains the truth;
+    - `on_bound`: it is trusted and lies on its bound;
+    - `off`: it is far from the truth, see `FAR`.
+
+    Of each draw, `warned`: it has a warning about the fit, or no answer.
     """
 
     finite: Each
@@ -41,22 +44,22 @@ class Marks:
 
     @property
     def interior(self) -> Each:
-        """Whether a number is trusted and not on a bound."""
+        """Estimates that are trusted and not on a bound."""
         return self.trusted & ~self.on_bound
 
     @property
     def beside_bound(self) -> Each:
-        """Whether a number is free, in a draw where another lies on its bound."""
+        """Estimates of `interior`, in draws where another one lies on its bound."""
         return self.interior & self.on_bound.any(axis=1, keepdims=True)
 
     @property
     def far(self) -> Bool[np.ndarray, " draws"]:
-        """Draws in which an estimate is far off."""
+        """Draws in which an estimate with a finite error is far off."""
         return np.any(self.off & self.finite, axis=1)
 
     @property
     def misled(self) -> Bool[np.ndarray, " draws"]:
-        """Draws with an estimate far off and without a warning."""
+        """Draws of `far` without a warning about the fit."""
         return self.far & ~self.warned
 
 
@@ -67,7 +70,8 @@ def compare(answers: Answers) -> Marks:
     truth, deviation = answers.truth, np.abs(answers.estimate - answers.truth)
     rounding = ROUNDING * np.abs(truth)
     trusted = finite & ~warned[:, None]
-    # An interval may be asymmetric; the error is at least its side towards the truth.
+    # An interval may be asymmetric: the error is at least that of its side towards the
+    # truth. `fmax` ignores an interval that is NaN.
     side = np.where(truth > answers.estimate, answers.high, answers.low)
     error = np.fmax(answers.error, np.abs(side - answers.estimate) / REACH)
     reach = np.where(answers.at_bound, FAR**2, FAR) * error
@@ -78,6 +82,7 @@ def compare(answers: Answers) -> Marks:
         trusted=trusted,
         covered=(answers.low <= truth + rounding) & (truth - rounding <= answers.high),
         on_bound=trusted & answers.at_bound,
+        # Negated, so that an estimate of NaN is far off.
         off=~(deviation <= reach + rounding) & ~(outside & answers.at_bound),
         warned=warned,
     )

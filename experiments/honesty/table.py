@@ -1,4 +1,4 @@
-"""Rows as a table, and in words."""
+"""Tables and summaries of the verdicts on situations."""
 
 from collections.abc import Sequence
 
@@ -9,6 +9,7 @@ from rich.table import Table
 from experiments.honesty.campaign import Row, count_false_alarms, pooled_faults
 from experiments.honesty.judge import Verdict
 
+# Without titles: the name, its kind, and the verdict.
 COLUMNS = (
     "",
     "",
@@ -32,7 +33,7 @@ far off; silently: those without a warning. open: parameters with an infinite er
 
 
 def table(rows: Sequence[Row], bits: int) -> Table:
-    """A table of the rows of one precision."""
+    """A table of the rows of one precision, 32 or 64 bits."""
     result = Table(title=f"float{bits}", title_justify="left")
     for at, column in enumerate(COLUMNS):
         last = at == len(COLUMNS) - 1
@@ -45,7 +46,7 @@ def table(rows: Sequence[Row], bits: int) -> Table:
 
 
 def cells(row: Row) -> tuple[str, ...]:
-    """The cells of a row of the table."""
+    """The cells of a row, in the order of `COLUMNS`."""
     v = row.verdict
     return (
         row.name,
@@ -64,12 +65,12 @@ def cells(row: Row) -> tuple[str, ...]:
 
 
 def verdict_word(verdict: Verdict) -> str:
-    """The verdict in a word."""
+    """The verdict in a word: RED for a fault, otherwise its notes, or ok."""
     return "RED" if verdict.faults else ", ".join(verdict.notes) or "ok"
 
 
 def percent(fraction: float, digits: int = 0) -> str:
-    """A fraction in per cent; a dash for NaN."""
+    """A fraction in per cent, without the sign; a dash for NaN, 0 without digits."""
     if np.isnan(fraction):
         return "–"
     return f"{100 * fraction:.{digits}f}" if fraction else "0"
@@ -84,11 +85,11 @@ def summary(rows: Sequence[Row]) -> list[str]:
     lines += [f"  ! {fault}" for fault in pooled_faults(rows)]
     for bits in sorted({row.bits for row in rows}):
         alarms, draws = count_false_alarms(rows, bits)
-        own = [row for row in rows if row.bits == bits]
-        red = sum(not row.passed for row in own)
-        seconds = sum(row.seconds for row in own)
+        chosen = [row for row in rows if row.bits == bits]
+        red = sum(not row.passed for row in chosen)
+        seconds = sum(row.seconds for row in chosen)
         lines.append(
-            f"float{bits}: {len(own)} situations in {seconds:.0f} s, {red} red; "
+            f"float{bits}: {len(chosen)} situations in {seconds:.0f} s, {red} red; "
             f"{alarms} false alarms in {draws} draws of right models"
         )
     return lines

@@ -1,4 +1,4 @@
-"""The subject of each warning, by its code."""
+"""Subjects of warnings, by their code: the fit, a bound, or an open parameter."""
 
 import collections
 import enum
@@ -9,10 +9,11 @@ import phongfit as pf
 from experiments.honesty.answers import REFUSED
 
 FLAG = "flag: "
+"""Beginning of the sentence for a pixel's flag."""
 
 
 class WarningSubject(enum.Enum):
-    """Subject of a warning."""
+    """Subject of a warning: the numbers on which it casts doubt."""
 
     FIT = "the model, the noise or the residuals: no number is to be trusted"
     BOUND = "an estimate at its bound: its own error is one-sided"
@@ -60,7 +61,7 @@ SUBJECTS = {
 }
 
 Warnings = Sequence[tuple[str, ...]]
-"""The sentences of every draw."""
+"""For each draw, its warnings as sentences."""
 
 
 def subject_of(warning: str) -> WarningSubject:
@@ -71,12 +72,15 @@ def subject_of(warning: str) -> WarningSubject:
 
 
 def is_doubtful(warning: str) -> bool:
-    """Whether a warning casts doubt on all numbers of a fit."""
+    """Whether a warning casts doubt on all numbers of a fit, or replaces its answer."""
     return subject_of(warning) in (WarningSubject.FIT, WarningSubject.REFUSED)
 
 
 def count_doubts(warnings: Warnings, most: int = 5) -> dict[str, int]:
-    """Codes of warnings that cast doubt on a draw, and how many draws had each."""
+    """Codes of warnings that cast doubt on a draw, and how many draws had each.
+
+    Only the `most` frequent ones.
+    """
     count = collections.Counter(
         key
         for sentences in warnings
@@ -86,16 +90,17 @@ def count_doubts(warnings: Warnings, most: int = 5) -> dict[str, int]:
 
 
 def unknown_warnings(warnings: Warnings, most: int = 3) -> list[str]:
-    """Warnings whose code is not in `SUBJECTS`, each once."""
+    """Warnings whose code is not in `SUBJECTS`, each once, and at most `most`."""
     distinct = {one for sentences in set(warnings) for one in sentences}
     unknown = {one for one in distinct if subject_of(one) is WarningSubject.UNKNOWN}
     return sorted({_without_numbers(one) for one in unknown})[:most]
 
 
 def _key(warning: str) -> str:
-    """A warning's code; without one the sentence with its numbers replaced."""
+    """A warning's code; if it has none, the sentence with "#" for every number."""
     return pf.warning_code(warning) or _without_numbers(warning)
 
 
 def _without_numbers(sentence: str) -> str:
+    """The sentence with "#" for each whole number, so that draws give the same one."""
     return re.sub(r"\d+", "#", sentence)

@@ -117,4 +117,4 @@ def test_what_fails_is_said(found, tmp_path, capsys, monkeypatch):
     assert run(every.main, [str(tmp_path / "out"), "--small"]) == 1
     assert "the sum is < off" in capsys.readouterr().out
     page = (tmp_path / "out" / every.PAGE).read_text(encoding="utf-8")
-    assert "What should hold and does not: the sum is &lt; off." in page
+    assert "Failed check: the sum is &lt; off." in page

@@ -1,4 +1,4 @@
-"""All situations, by theme."""
+"""All situations of the experiment on honesty, by theme."""
 
 from experiments.honesty.situations import (
     captures,

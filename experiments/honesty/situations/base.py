@@ -18,16 +18,21 @@ from experiments.honesty.judge import Kind
 
 Image: TypeAlias = Float[np.ndarray, "height width 3"]
 Draws: TypeAlias = Sequence[np.random.Generator]
+"""A random generator for each draw, that is for each repetition with fresh noise."""
+
 Photograph: TypeAlias = Callable[[Image, np.random.Generator], Image]
 """Makes a photograph from the linear light of a scene: adds noise, clips, rounds."""
 
+# Width and height of most images, pixels.
 SIZE = 48
 # For fits of many unknowns of a scene from many starts.
 SMALL = 32
 # For wrong models that only many pixels reveal.
 LARGE = 128
+# Standard deviation of most noise, where white is 1.
 NOISE = 0.01
 UNCLAMPED = pf.Film(clamp=False)
+# Direction to the usual lamp: x right, y up, z to the camera.
 LAMP = (1.0, 1.0, 2.0)
 
 
@@ -37,8 +42,8 @@ class Situation:
 
     - `name`: unique; `kind`: what is expected, see [`judge`][];
     - `answer`: fits one draw for each random generator, and returns the answers;
-    - `unidentifiable`: parameters that the data cannot identify;
-    - `wide`: whether intervals may be too wide;
+    - `unidentifiable`: labels or names of parameters that the data cannot identify;
+    - `wide`: whether intervals may contain the truth too often;
     - `required_warning`: part of a warning that each draw must have;
     - `draw_fraction`: fraction of the draws to run, below 1 where a draw takes long.
     """
@@ -54,14 +59,14 @@ class Situation:
 
 @dataclasses.dataclass(frozen=True)
 class Subject:
-    """Scenes of one material."""
+    """Scenes of one material, of which photographs are made: the truth of a fit."""
 
     scenes: tuple[pf.Scene, ...]
     material: pf.Material
 
     @functools.cached_property
     def light(self) -> tuple[Image, ...]:
-        """Linear light of each scene, without noise and clamp."""
+        """Linear light of each scene, without noise, not clamped at white."""
         return tuple(
             np.asarray(pf.render(scene, self.material, film=UNCLAMPED), float)
             for scene in self.scenes
@@ -73,13 +78,13 @@ Draw: TypeAlias = Callable[[np.random.Generator], Subject]
 
 
 def cached_subject(make: Callable[[], Subject]) -> Draw:
-    """A `Draw` that makes its subject at the first use, and returns it each time."""
+    """A `Draw` that calls `make` once, and returns this subject in every draw."""
     cached = functools.cache(make)
     return lambda rng: cached()
 
 
 DrawOptions: TypeAlias = Callable[[Image, np.random.Generator], Mapping[str, Any]]
-"""Options of a fit that depend on the draw, such as a map of its noise."""
+"""Makes options of a fit from a draw's light and generator, such as a noise map."""
 
 
 def fits(
@@ -100,13 +105,13 @@ def fits(
     - `subject`: the true scenes and material, or a function that makes them with a
         draw's generator.
     - `photograph`: adds a camera's noise and rounding to light of shape (H, W, 3).
-    - `fitted`: the scenes that `pf.fit` is given; default the true ones.
+    - `fitted`: the scenes that `pf.fit` is given; `None`: the true ones.
     - `options`: arguments of `pf.fit`, the same in all draws.
     - `draw_options`: further ones, made in each draw from the light of scene 0.
     - `other_truths`: true values, by label, of unknowns that are neither in the scenes
         nor in the material, such as `"exposure[1]"`.
 
-    **Returns:** from draws to their `Answers`: estimates, errors and truths.
+    **Returns:** a function from draws to their `Answers`: estimates, errors and truths.
     """
 
     def trials(draws: Draws) -> Iterator[Trial]:
@@ -134,7 +139,7 @@ MATERIAL = pf.Material((0.6, 0.3, 0.2), (0.3, 0.25, 0.35), 20.0, (0.5, 0.4, 0.3)
 
 
 def usual_material(**changes: Any) -> pf.Material:
-    """`MATERIAL` with these parameters replaced."""
+    """`MATERIAL` with the parameters `changes` replaced."""
     names = ("diffuse", "specular", "shininess", "ambient")
     return pf.Material(**({name: getattr(MATERIAL, name) for name in names} | changes))
 
@@ -142,7 +147,11 @@ def usual_material(**changes: Any) -> pf.Material:
 def lamp(
     direction: Sequence[float] | np.ndarray = LAMP, intensity: Any = 0.6
 ) -> pf.DirectionalLight:
-    """A lamp far away; its direction has unit length, as fits give it back."""
+    """A directional light; its direction has unit length, as fits return it.
+
+    **Arguments:** `direction`: to the lamp, of any length; `intensity`: RGB or a
+    number.
+    """
     return pf.DirectionalLight(
         np.array(direction) / np.linalg.norm(direction), intensity
     )
@@ -151,21 +160,25 @@ def lamp(
 def ball_scene(
     *lights: pf.AbstractLight, size: int = SIZE, ambient: float = 0.3, **changes: Any
 ) -> pf.Scene:
-    """A sphere under the usual lamp, or under these lights."""
+    """A sphere of radius 1 under `lights`, or if there are none under the usual lamp.
+
+    **Arguments:** `size`: width and height of the image, pixels; `changes`: other
+    arguments of `pf.Scene`.
+    """
     defaults = {"surface": pf.Sphere(), "camera": pf.OrthographicCamera(size, size)}
     return pf.Scene(**(defaults | changes), lights=lights or lamp(), ambient=ambient)
 
 
 def usual_subject(material: pf.Material = MATERIAL, *scenes: pf.Scene) -> Subject:
-    """A subject of this material: the usual ball under one lamp, or these scenes."""
+    """A subject of `material`, with `scenes`, or with the usual ball under one lamp."""
     return Subject(scenes or (ball_scene(),), material)
 
 
 def noisy(level: float = NOISE) -> Photograph:
-    """A function that adds Gaussian noise to light."""
+    """A `Photograph` that adds Gaussian noise of this standard deviation."""
     return lambda light, rng: light + level * rng.normal(size=light.shape)
 
 
 def clamped(photograph: Photograph) -> Photograph:
-    """A function that applies `photograph` and clips the result to [0, 1]."""
+    """A `Photograph` that clips the result of another one to [0, 1]."""
     return lambda light, rng: np.clip(photograph(light, rng), 0, 1)

@@ -1,4 +1,4 @@
-"""Captures: maps with unknown normals, and uncertain lamps and cameras."""
+"""Situations of captures: normals, lamps' strengths or an angle of view are unknown."""
 
 import dataclasses
 import tempfile
@@ -20,21 +20,27 @@ from experiments.honesty.situations.base import (
 )
 from phongfit.files.captures import open_capture
 
+# Width and height in pixels, number of lamps, and standard deviation of the noise.
 SIZE, LAMPS, NOISE = 24, 12, 0.004
 CAMERA = pf.OrthographicCamera(SIZE, SIZE, view_height=2.2)
 DIRECTIONS = spread_directions(LAMPS)
+# True ρ_s and f of the ball.
 SPECULAR, SHININESS = 0.3, 25.0
-# Distance of near lamps, and the camera's angle of view in degrees.
+# Distance of near lamps from the ball's centre in world units, and the perspective
+# camera's angle of view from the lower to the upper edge in degrees.
 NEAR, FOV = 3.0, 50.0
-# Standard deviation of the logarithm of strengths.
+# Standard deviation of the logarithm of the lamps' strengths.
 STRENGTH_SCATTER = 0.1
-# Along a side of a texture.
+# Number of texels along a side of the texture.
 TEXELS = 4
 HIGHLIGHT = ("specular.red", "specular.green", "specular.blue", "shininess")
 
 
 class Answer(NamedTuple):
-    """Estimates of one draw with their truth and standard errors; warnings."""
+    """Estimates of one draw with their truth and standard errors; warnings.
+
+    Numbers are in the order of the labels, or one number for all.
+    """
 
     truth: Any
     estimate: Any
@@ -122,15 +128,18 @@ def situations() -> list[Situation]:
 def per_draw(
     labels: tuple[str, ...], answer: Callable[[np.random.Generator], Answer]
 ) -> Callable[[Draws], Answers]:
-    """Collect the answers of single draws, with intervals of ± 1.96 errors."""
+    """A function that calls `answer` for each draw, with intervals of ± 1.96 errors.
+
+    A draw that raises `ValueError` has its message in place of estimates.
+    """
 
     def answers(draws: Draws) -> Answers:
-        answers: list[DrawAnswer | str] = []
+        joined: list[DrawAnswer | str] = []
         for rng in draws:
             try:
                 result = answer(rng)
             except ValueError as error:
-                answers.append(f"{REFUSED}{error}")
+                joined.append(f"{REFUSED}{error}")
                 continue
             truth, estimate, error, at_bound = (
                 np.broadcast_to(np.asarray(one, float), len(labels))
@@ -141,24 +150,30 @@ def per_draw(
                     result.at_bound,
                 )
             )
-            low, high = estimate + 1.96 * error * [[-1.0], [1.0]]
+            low, high = estimate - 1.96 * error, estimate + 1.96 * error
             bound = at_bound.astype(bool)
-            answers.append(
+            joined.append(
                 DrawAnswer(truth, estimate, error, low, high, bound, result.warnings)
             )
-        box = [(1.0, 1000.0) if one == "shininess" else (0.0, np.inf) for one in labels]
-        return join_draws(labels, np.array(box), answers)
+        bounds = [
+            (1.0, 1000.0) if label == "shininess" else (0.0, np.inf) for label in labels
+        ]
+        return join_draws(labels, np.array(bounds), joined)
 
     return answers
 
 
 def ball_scenes(near: bool = False) -> list[pf.Scene]:
-    """The ball under each lamp: far away, or with light that falls off as 1/r²."""
+    """Scenes of the ball, one for each lamp.
+
+    **Arguments:** `near`: whether the lamps are at a distance of `NEAR`, with light
+    that falls off as 1/r², and not infinitely far away.
+    """
     lights = [
-        pf.PointLight(NEAR * way, attenuation=(0, 0, 1 / NEAR**2))
+        pf.PointLight(NEAR * direction, attenuation=(0, 0, 1 / NEAR**2))
         if near
-        else pf.DirectionalLight(way)
-        for way in DIRECTIONS
+        else pf.DirectionalLight(direction)
+        for direction in DIRECTIONS
     ]
     return [pf.Scene(pf.Sphere(), CAMERA, light) for light in lights]
 
@@ -166,7 +181,7 @@ def ball_scenes(near: bool = False) -> list[pf.Scene]:
 def photographs(
     scenes: list[pf.Scene], specular: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "lamps height width 3"]:
-    """The ball with noise, under each lamp."""
+    """Noisy images of the scenes; the material has this ρ_s, and f = `SHININESS`."""
     ball = pf.Material(MATERIAL.diffuse, specular, SHININESS, 0.0)
     light = [np.asarray(pf.render(one, ball, film=UNCLAMPED)) for one in scenes]
     noise = NOISE * rng.normal(size=(len(light), *light[0].shape))
@@ -174,22 +189,26 @@ def photographs(
 
 
 def on_plane(scenes: list[pf.Scene]) -> list[pf.Scene]:
-    """Scenes with a plane in the ball's place, since the ball's form is unknown."""
+    """Scenes with the plane z = 0 in place of the ball, whose shape is to be fitted."""
     steps = (np.arange(SIZE) + 0.5 - SIZE / 2) * float(CAMERA.view_height) / SIZE
     x, y = np.meshgrid(steps, -steps)
-    places = np.stack([x, y, np.zeros_like(x)], axis=-1)
-    plane = pf.NormalMap(np.ones((SIZE, SIZE, 1)) * [0.0, 0.0, 1.0], None, places)
+    positions = np.stack([x, y, np.zeros_like(x)], axis=-1)
+    plane = pf.NormalMap(np.ones((SIZE, SIZE, 1)) * [0.0, 0.0, 1.0], None, positions)
     return [dataclasses.replace(one, surface=plane) for one in scenes]
 
 
 def central_mask(rim: float = 0.35) -> np.ndarray:
-    """Pixels of the ball without its rim, up to this cosine."""
-    buffer = pf.geometry.trace(pf.Sphere(), CAMERA)
-    return np.asarray(buffer.mask) & (np.asarray(buffer.normal)[..., 2] > rim)
+    """Pixels of the ball, (H, W), where the cosine of normal and view exceeds `rim`."""
+    gbuffer = pf.geometry.trace(pf.Sphere(), CAMERA)
+    return np.asarray(gbuffer.mask) & (np.asarray(gbuffer.normal)[..., 2] > rim)
 
 
 def fit_normals(scenes: list[pf.Scene], images: np.ndarray, **options: Any) -> pf.Maps:
-    """Maps of normals and materials, of which one highlight is shared."""
+    """Maps of normals and materials; by default all pixels share one ρ_s and f.
+
+    **Arguments:** `scenes`: with the true lamps; `options`: of
+    [`fit_maps`][phongfit.fit_maps].
+    """
     defaults: dict[str, Any] = {
         "unknowns": ("diffuse", "specular", "shininess"),
         "materials": 1,
@@ -212,9 +231,19 @@ def shared_highlight(
     unequal_strengths: bool = False,
     **options: Any,
 ) -> Callable[[Draws], Answers]:
-    """The highlight that all pixels share, and the root mean square of their normals.
+    """A function that fits normals, and the ρ_s and f that all pixels share.
 
-    **Arguments:** `unequal_strengths`: whether lamps have other strengths than scenes.
+    Its answers have ρ_s, f, and one number for the normals: the root mean square of
+    their angles to the true ones, whose truth is 0 and whose standard error is the root
+    mean square of the stated ones, in degrees.
+
+    **Arguments:**
+
+    - `specular`: the true ρ_s.
+    - `near`: see [`ball_scenes`][].
+    - `unequal_strengths`: whether the lamps' true strengths differ from those of the
+        fitted scenes, which are 1.
+    - `options`: of [`fit_normals`][].
     """
 
     def answer(rng: np.random.Generator) -> Answer:
@@ -227,6 +256,7 @@ def shared_highlight(
         assert result is not None
         return Answer(
             (specular, SHININESS, 0.0),
+            # Material 0, red; all channels share ρ_s.
             (result.specular[0, 0], result.shininess[0], angle_off(maps)),
             (
                 result.stderr_specular[0, 0],
@@ -253,20 +283,21 @@ def stated_error(maps: pf.Maps) -> float:
 
 
 def has_normal(maps: pf.Maps) -> np.ndarray:
-    """Pixels with a normal."""
+    """Pixels with a fitted normal, (H, W): those with a finite standard error > 0."""
     return np.isfinite(maps.normals_stderr) & (maps.normals_stderr > 0)
 
 
 def factors(rng: np.random.Generator) -> np.ndarray:
-    """Strengths of the lamps, whose mean is 1."""
+    """Random strengths of the lamps, (lamps,), whose mean is 1."""
     values = np.exp(STRENGTH_SCATTER * rng.normal(size=LAMPS))
     return values / values.mean()
 
 
 def matte_ball_materials(draws: Draws) -> Answers:
-    """ρ_s (red) that `materials="auto"` finds on a matte ball; the truth is 0.
+    """Red ρ_s that `materials="auto"` finds on a matte ball; the truth is 0.
 
-    Where it finds no material with a highlight, the answer is 0 ± 0, which is right.
+    Where it finds no material with a highlight (`maps.materials` is `None`), the answer
+    is 0 ± 0, which is right.
     """
 
     def answer(rng: np.random.Generator) -> Answer:
@@ -275,6 +306,7 @@ def matte_ball_materials(draws: Draws) -> Answers:
         result = maps.materials
         value, error = 0.0, 0.0
         if result is not None:
+            # Material 0, red; all channels share ρ_s.
             value, error = result.specular[0, 0], result.stderr_specular[0, 0]
         return Answer(0.0, value, error, maps.warnings)
 
@@ -282,7 +314,7 @@ def matte_ball_materials(draws: Draws) -> Answers:
 
 
 def strengths(draws: Draws) -> Answers:
-    """Strengths of the lamps of a matte ball, found with its normals."""
+    """Strengths of the lamps of a matte ball, fitted together with its normals."""
 
     def answer(rng: np.random.Generator) -> Answer:
         scenes, true = ball_scenes(), factors(rng)
@@ -299,15 +331,17 @@ def strengths(draws: Draws) -> Answers:
 
 
 def angle_of_view(draws: Draws) -> Answers:
-    """The angle over which a camera sees a ball that fills its view."""
+    """The camera's angle of view in degrees, from a ball that fills the image."""
 
     def answer(rng: np.random.Generator) -> Answer:
         camera = pf.PerspectiveCamera(SIZE, SIZE, fov_y=FOV, position=(0, 0, 0))
-        away = 1 / np.sin(np.radians(FOV / 2))
-        ball = pf.Sphere((0.0, 0.0, -float(away)))
-        lights = [pf.DirectionalLight(way) for way in DIRECTIONS]
+        # At this distance the ball's outline touches the edges of the image.
+        distance = 1 / np.sin(np.radians(FOV / 2))
+        ball = pf.Sphere((0.0, 0.0, -float(distance)))
+        lights = [pf.DirectionalLight(direction) for direction in DIRECTIONS]
         scenes = [pf.Scene(ball, camera, light) for light in lights]
         rows, columns = np.indices((SIZE, SIZE)) - (SIZE - 1) / 2
+        # These scenes bring the lamps; `fit_fov` replaces their cameras and surfaces.
         result = pf.fit_fov(
             on_plane(ball_scenes()),
             photographs(scenes, SPECULAR, rng),
@@ -322,7 +356,7 @@ def angle_of_view(draws: Draws) -> Answers:
 
 
 def lamps_behind(draws: Draws) -> Answers:
-    """A list of lamps with a z that points away from the camera."""
+    """Captures whose .lp file has z pointing away from the camera, which is refused."""
 
     def answer(rng: np.random.Generator) -> Answer:
         names = [f"{k}.png" for k in range(LAMPS)]
@@ -331,6 +365,7 @@ def lamps_behind(draws: Draws) -> Answers:
             for name, image in zip(names, images, strict=True):
                 pf.write_image(Path(folder, name), image, "linear", 16)
             pf.write_lp(Path(folder, "lamps.lp"), names, DIRECTIONS * (1, 1, -1))
+            # Expected to raise `ValueError`, which becomes the draw's warning.
             open_capture(Path(folder), "linear")
         return Answer(0.0, 0.0, 0.0, ())
 
@@ -338,21 +373,27 @@ def lamps_behind(draws: Draws) -> Answers:
 
 
 def texture(draws: Draws) -> Answers:
-    """A matte square with a texture, and the highlight that its texels would share."""
+    """ρ_s and f of a matte square with a texture: ρ_s is 0, f is not identifiable."""
     corners = [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]
     uv = np.array([[(0, 0), (1, 0), (1, 1)], [(0, 0), (1, 1), (0, 1)]], float)
     mesh = pf.Mesh(corners, [(0, 1, 2), (0, 2, 3)], uv=uv)
     camera = pf.PerspectiveCamera(
         SIZE, SIZE, fov_y=float(np.degrees(2 * np.arctan(0.2))), position=(0, 0, 5)
     )
-    scenes = [pf.Scene(mesh, camera, pf.DirectionalLight(way)) for way in DIRECTIONS]
+    scenes = [
+        pf.Scene(mesh, camera, pf.DirectionalLight(direction))
+        for direction in DIRECTIONS
+    ]
+    # Pixels along the side of a texel: the square fills the image.
     side = SIZE // TEXELS
 
     def answer(rng: np.random.Generator) -> Answer:
         texels = rng.uniform(0.1, 0.6, (TEXELS, TEXELS, 3))
         plain = texels.repeat(side, axis=0).repeat(side, axis=1)
+        # Lambert's cosine: the square's normal is +z.
         images = [
-            way[2] * plain + 0.01 * rng.normal(size=plain.shape) for way in DIRECTIONS
+            direction[2] * plain + 0.01 * rng.normal(size=plain.shape)
+            for direction in DIRECTIONS
         ]
         result = pf.fit_texture(
             scenes,

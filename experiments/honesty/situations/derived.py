@@ -1,4 +1,4 @@
-"""Errors from predictions before a photograph, and from profiles after a fit."""
+"""Situations with errors from predictions before a photograph, and from profiles."""
 
 from collections.abc import Callable
 from typing import Any
@@ -25,7 +25,7 @@ from phongfit.fitting.uncertainty.quantiles import student_reach
 
 
 def situations() -> list[Situation]:
-    """All situations with predictions and profiles."""
+    """All situations with predicted errors and with profiles."""
     predictions = {
         "predicted errors": (usual_subject(), NOISE),
         "predicted errors at a bound": (
@@ -66,13 +66,18 @@ def situations() -> list[Situation]:
 
 
 def predicted(subject: Subject, noise: float) -> Callable[[Draws], Answers]:
-    """Answers that pair the estimates of fits with predicted errors."""
+    """A function that judges predicted errors: it pairs them with estimates of fits.
+
+    **Arguments:** `subject`: of one scene; `noise`: standard deviation.
+    """
 
     def answer(draws: Draws) -> Answers:
         (scene,) = subject.scenes
         prediction = pf.predict_errors(scene, subject.material, noise, film=UNCLAMPED)
         fitted = fits(subject, noisy(noise))(draws)
         error = np.broadcast_to(prediction.errors, fitted.estimate.shape)
+        # A normal distribution has 95 % within ± 1.96 standard deviations. The first
+        # axis is for the lower and the upper end.
         ends = fitted.estimate + 1.96 * error * [[[-1.0]], [[1.0]]]
         low, high = np.clip(ends, *fitted.bounds.T)
         return Answers(
@@ -93,19 +98,28 @@ def predicted(subject: Subject, noise: float) -> Callable[[Draws], Answers]:
 def profiled(
     subject: Subject, photograph: Photograph, label: str, truth: float
 ) -> Callable[[Draws], Answers]:
-    """Profile-likelihood intervals of one parameter."""
+    """A function that fits, and returns profile-likelihood intervals of a parameter.
+
+    **Arguments:** `subject`: of one scene; `label`: of the parameter; `truth`: its true
+    value.
+    """
 
     def answer(draws: Draws) -> Answers:
         (scene,) = subject.scenes
         fits = (pf.fit(scene, photograph(subject.light[0], rng)) for rng in draws)
         answers = [answer_of_profile(fit, label, truth) for fit in fits]
+        # Infinite bounds, since a profile's interval is not compared with bounds.
         return join_draws((label,), np.array([[-np.inf, np.inf]]), answers)
 
     return answer
 
 
 def answer_of_profile(fit: pf.Fit, label: str, truth: float) -> DrawAnswer:
-    """A profile's interval; the error is half its width in units of Student's t."""
+    """A profile's 95 % interval as an answer.
+
+    The standard error is half the interval's length over the 97.5 % quantile of
+    Student's t.
+    """
     low, high = fit.profile(label, levels=(LEVEL,)).intervals[LEVEL]
     error = (high - low) / 2 / student_reach(LEVEL, fit.degrees_of_freedom)
     estimate = fit[label]

@@ -1,4 +1,4 @@
-"""At the edges: white and black samples, binding bounds, unidentified parameters."""
+"""Situations with white samples, truths on bounds, and unidentified parameters."""
 
 from typing import Any
 
@@ -25,12 +25,12 @@ from experiments.honesty.situations.base import (
 
 
 def situations() -> list[Situation]:
-    """All situations at the edges."""
+    """All situations with white samples, bounds, or parameters not identified."""
     return [*white(), *bounds(), *unidentified()]
 
 
 def white() -> list[Situation]:
-    """Situations with more and more samples at white."""
+    """Situations with a growing fraction of samples at white."""
     fractions = (0.01, 0.3, 0.93, 0.97, 0.99)
     answers: dict[str, Any] = {
         f"{fraction:.0%} white": fits(bright(fraction), clamped(noisy()))
@@ -40,7 +40,7 @@ def white() -> list[Situation]:
         bright(0.97), clamped(noisy()), noise=NOISE
     )
     answers["10% at 1 beside negative values"] = fits(bright(0.1, 0.02), cut_above)
-    # With nearly no samples left, a warning of doubt is right.
+    # With few samples below white, a warning about the fit is right.
     clipped = tuple(f"{fraction:.0%}" for fraction in fractions[2:])
     return [
         Situation(name, "doubtful" if name.startswith(clipped) else "right", answer)
@@ -49,24 +49,28 @@ def white() -> list[Situation]:
 
 
 def bright(fraction: float, ambient: float = 0.3) -> Draw:
-    """The usual ball, lit so that this fraction of its samples exceeds white."""
+    """The usual ball, lit so that this fraction of its samples exceeds white.
+
+    **Arguments:** `ambient`: ambient light before all light is scaled.
+    """
 
     def make() -> Subject:
         light = usual_subject(MATERIAL, ball_scene(ambient=ambient)).light[0]
-        brighter = 1 / np.quantile(light[light.any(axis=-1)], 1 - fraction)
-        scene = ball_scene(lamp(intensity=0.6 * brighter), ambient=ambient * brighter)
+        factor = 1 / np.quantile(light[light.any(axis=-1)], 1 - fraction)
+        # 0.6 is the usual lamp's intensity.
+        scene = ball_scene(lamp(intensity=0.6 * factor), ambient=ambient * factor)
         return usual_subject(MATERIAL, scene)
 
     return cached_subject(make)
 
 
 def cut_above(light: Image, rng: np.random.Generator) -> Image:
-    """Noisy light clipped at white only, as after the black level was subtracted."""
+    """Noisy light clipped at white, not at 0: as after a black level was subtracted."""
     return np.minimum(noisy()(light, rng), 1)
 
 
 def bounds() -> list[Situation]:
-    """Situations with the truth on a bound, or near it."""
+    """Situations with the truth on a bound, near it or beyond it."""
     matte = usual_subject(usual_material(shininess=1.5), ball_scene(size=24))
     faint = usual_subject(
         pf.Material(0.6, 0.1, 1.5, 0.1), ball_scene(lamp(intensity=0.9), size=24)
@@ -98,7 +102,7 @@ def bounds() -> list[Situation]:
             Situation(name, "right", answer, wide=True)
             for name, answer in few_pixels.items()
         ),
-        # The highlight covers two pixels, and the noise is half as large as it.
+        # The highlight covers two pixels, and the noise is half as high as its peak.
         Situation(
             "the same, a narrow highlight",
             "doubtful",
@@ -178,7 +182,7 @@ def unidentified() -> list[Situation]:
 
 
 def highlight_hidden(light: Image, rng: np.random.Generator) -> dict[str, Any]:
-    """Options with a mask that leaves out the highlight except for its tail."""
+    """Options with a mask without the highlight, where it exceeds 2 % of its peak."""
     del light, rng
     scene = usual_subject().scenes[0]
     shiny = pf.Material(0.0, 1.0, 20.0, 0.0)
@@ -191,10 +195,12 @@ def window() -> pf.Scene:
 
     It has about as many pixels as the usual ball, so compiled programs are shared.
     """
+    # The highlight is centred where the normal halves the angle between lamp and
+    # viewer (+z); on a ball of radius 1, normals are positions.
     half = np.array(lamp().direction, float) + (0, 0, 1)
-    at = half / np.linalg.norm(half)
+    x, y, _ = half / np.linalg.norm(half)
     camera = pf.OrthographicCamera(
-        36, 36, view_height=0.3, position=(float(at[0]), float(at[1]), 5.0)
+        36, 36, view_height=0.3, position=(float(x), float(y), 5.0)
     )
     return pf.Scene(pf.Sphere(), camera, lamp(), 0.3)
 

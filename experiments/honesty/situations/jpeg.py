@@ -1,4 +1,4 @@
-"""JPEG files: rounding that is alike within blocks, known or not."""
+"""Situations with JPEG files, whose errors are shared by the pixels of a block."""
 
 import functools
 from collections.abc import Callable, Iterator, Mapping
@@ -26,20 +26,24 @@ from phongfit.files.formats import jpeg_compression
 from phongfit.files.images import from_levels, to_levels
 from phongfit.rendering.film import Film
 
+# Standard deviation of the noise before compression, where white is 1.
 NOISE = 0.003
-# Pillow's numbers: a colour for each pixel, or for each 2 × 2 pixels.
+# Pillow's numbers for chroma subsampling: a colour for each pixel, or for each 2 × 2.
 SAMPLINGS = {"4:4:4": 0, "4:2:0": 2}
 
 
 class Decoded(NamedTuple):
-    """A photograph from a file, and the fit's options for that file."""
+    """A photograph from a file, in linear light, and options of `pf.fit` for it."""
 
     image: Image
     options: Mapping[str, Any]
 
 
 def situations() -> list[Situation]:
-    """Each quality and subsampling, as a file and as an array of unknown origin."""
+    """All situations with JPEG files: each quality and subsampling.
+
+    Fits are given the file's compression, or only its pixels.
+    """
     result = []
     for quality in (75, 90, 95):
         for sampling in SAMPLINGS:
@@ -63,9 +67,9 @@ def situations() -> list[Situation]:
 
 
 def random_ball(rng: np.random.Generator, size: int) -> Subject:
-    """A random ball under a random lamp.
+    """A ball of a random material under a random lamp, in `size` × `size` pixels.
 
-    JPEG's rounding depends on both: photographs of one ball would share its error.
+    JPEG's rounding errors depend on both, so photographs of one ball would share them.
     """
     material = pf.Material(
         diffuse=rng.uniform(0.15, 0.6, 3),
@@ -81,7 +85,11 @@ def random_ball(rng: np.random.Generator, size: int) -> Subject:
 def jpeg_fits(
     draw: Draw, quality: int, sampling: str, known: bool
 ) -> Callable[[Draws], Answers]:
-    """A function that fits photographs read from JPEG files, one for each draw."""
+    """A function that fits photographs read from JPEG files, one for each draw.
+
+    **Arguments:** `quality`, `sampling`: of the files; `known`: whether fits are given
+    the files' compression.
+    """
 
     def trials(draws: Draws) -> Iterator[Trial]:
         for rng in draws:
@@ -97,9 +105,9 @@ def jpeg_fits(
 
 
 def through_jpeg(light: Image, quality: int, sampling: str, known: bool) -> Decoded:
-    """Light written as an sRGB JPEG and read back.
+    """Linear light written as an 8-bit sRGB JPEG and read back.
 
-    **Arguments:** `known`: whether the fit is given the file's compression.
+    **Arguments:** `known`: whether to return options with the file's compression.
     """
     data = iio.imwrite(
         "<bytes>",

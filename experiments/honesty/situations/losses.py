@@ -1,4 +1,4 @@
-"""Each loss, on clean data and with samples that have nothing to do with the model."""
+"""Situations for each loss: on clean data, and with samples unrelated to the model."""
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from phongfit.fitting.problem.losses import LOSSES
 
 
 def situations() -> list[Situation]:
-    """All situations with losses."""
+    """All situations with losses, clean or with unrelated samples."""
     sharp = usual_subject(usual_material(shininess=600.0, specular=0.5))
     result: list[Situation] = []
     for loss in LOSSES:
@@ -47,7 +47,7 @@ def situations() -> list[Situation]:
 
 
 def lit_twice() -> Subject:
-    """A ball with a second highlight, of a lamp without diffuse light."""
+    """A ball with a second highlight, from a lamp that adds specular light only."""
     lamp_without_diffuse = pf.DirectionalLight((-1.0, -0.5, 1.5), 0.0, specular=0.6)
     return usual_subject(
         usual_material(shininess=60.0), ball_scene(lamp(), lamp_without_diffuse)
@@ -55,7 +55,7 @@ def lit_twice() -> Subject:
 
 
 def with_second_lobe() -> Photograph:
-    """A function that adds a fainter, wider highlight, and noise."""
+    """A `Photograph` that adds a fainter, wider highlight, and noise."""
     wide = usual_subject(pf.Material(0.0, 0.05, 15.0, 0.0))
 
     def photograph(light: Image, rng: np.random.Generator) -> Image:
@@ -65,7 +65,10 @@ def with_second_lobe() -> Photograph:
 
 
 def outliers(fraction: float) -> Photograph:
-    """A function that adds noise and replaces some samples by random numbers."""
+    """A `Photograph` that adds noise and replaces some samples by random numbers.
+
+    **Arguments:** `fraction`: of the samples; the numbers are uniform in [0, 1).
+    """
 
     def photograph(light: Image, rng: np.random.Generator) -> Image:
         random_values = rng.random(light.shape)
@@ -76,7 +79,7 @@ def outliers(fraction: float) -> Photograph:
 
 
 def scratch(light: Image, rng: np.random.Generator) -> Image:
-    """A noisy photograph with a white scratch in two rows of pixels."""
+    """A noisy photograph with a scratch: 2 × 18 pixels of 0.95, nearly white."""
     image = noisy()(light, rng)
     image[34:36, 12:30] = 0.95
     return image

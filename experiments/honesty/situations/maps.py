@@ -1,4 +1,4 @@
-"""Maps, of which every pixel is a draw."""
+"""Situations with maps: every pixel, with a random material, counts as a draw."""
 
 import dataclasses
 from collections.abc import Callable, Mapping
@@ -14,16 +14,17 @@ from experiments.honesty.answers import LEVEL, Answers
 from experiments.honesty.situations.base import NOISE, UNCLAMPED, Draws, Situation
 from phongfit.fitting.uncertainty.quantiles import student_reach
 
-# Pixels of each draw.
+# Pixels of each draw: a map has one row of them for each draw.
 PIXELS = 100
 LIGHTS = 16
+# Ambient light of all scenes.
 AMBIENT = 0.3
 PARAMETERS = ("ambient", "diffuse", "specular", "shininess")
 CHANNELS = ("red", "green", "blue")
 
 Stack = Float[np.ndarray, "lights height width 3"]
 Materials = Callable[[np.random.Generator, tuple[int, int]], pf.Material]
-
+"""Makes random materials for the pixels of a map, given its height and width."""
 
 Degrade = Callable[[Stack, np.random.Generator], tuple[Stack, Mapping[str, Any]]]
 """Changes photographs; returns them, and options of the map such as a mask."""
@@ -80,9 +81,18 @@ def maps(
     level: float = NOISE,
     **options: Any,
 ) -> Callable[[Draws], Answers]:
-    """A function that fits a map in which every pixel has its own random material."""
+    """A function that fits a map in which every pixel has its own random material.
+
+    **Arguments:**
+
+    - `degrade`: changes the photographs; `None`: they have noise only.
+    - `materials`: `None`: [`random_material`][].
+    - `level`: standard deviation of the noise.
+    - `options`: of [`phongfit.fit_maps`][].
+    """
 
     def answer(draws: Draws) -> Answers:
+        # One map for all draws, from the first one's generator.
         rng = draws[0]
         size = (len(draws), PIXELS)
         scenes, images, truth = photographs(
@@ -108,14 +118,18 @@ def photographs(
     level: float,
     materials: Materials,
 ) -> tuple[tuple[pf.Scene, ...], Stack, pf.Material]:
-    """Scenes, their images with noise, and the materials."""
+    """Scenes of random normals, one for each lamp; their noisy images; the materials.
+
+    **Arguments:** `size`: height and width, pixels; `lights`: number of lamps; `level`:
+    standard deviation of the noise.
+    """
     normals = np.ones((*size, 3))
     normals[..., :2] = rng.uniform(-0.4, 0.4, (*size, 2))
     surface = pf.NormalMap(normals)
     camera = pf.OrthographicCamera(size[1], size[0])
     scenes = tuple(
-        pf.Scene(surface, camera, pf.DirectionalLight(way), AMBIENT)
-        for way in spread_directions(lights)
+        pf.Scene(surface, camera, pf.DirectionalLight(direction), AMBIENT)
+        for direction in spread_directions(lights)
     )
     truth = materials(rng, size)
     gbuffer = pf.geometry.trace(surface, camera)
@@ -126,7 +140,7 @@ def photographs(
 
 
 def random_material(rng: np.random.Generator, size: tuple[int, int]) -> pf.Material:
-    """Random materials within the bounds; highlights reach every pixel."""
+    """Random materials within the bounds, so broad that each pixel has a highlight."""
     return pf.Material(
         diffuse=rng.uniform(0.15, 0.4, (*size, 3)),
         specular=rng.uniform(0.2, 0.4, (*size, 3)),
@@ -139,11 +153,14 @@ def at_bounds(rng: np.random.Generator, size: tuple[int, int]) -> pf.Material:
     """Random materials; a third of the reflectances ρ_d and ρ_a is 0."""
     inside = random_material(rng, size)
 
-    def some(leaf: Any) -> np.ndarray:
-        return np.where(rng.random((*size, 3)) < 1 / 3, 0, np.asarray(leaf))
+    def thinned(values: Any) -> np.ndarray:
+        return np.where(rng.random((*size, 3)) < 1 / 3, 0, np.asarray(values))
 
     return pf.Material(
-        some(inside.diffuse), inside.specular, inside.shininess, some(inside.ambient)
+        thinned(inside.diffuse),
+        inside.specular,
+        inside.shininess,
+        thinned(inside.ambient),
     )
 
 
@@ -151,6 +168,7 @@ def bright_red(rng: np.random.Generator, size: tuple[int, int]) -> pf.Material:
     """Random materials whose red channel exceeds white under some of the lamps."""
     usual = random_material(rng, size)
     diffuse, specular = np.array(usual.diffuse), np.array(usual.specular)
+    # Channel 0 is red.
     diffuse[..., 0] = rng.uniform(0.6, 0.9, size)
     specular[..., 0] = rng.uniform(0.3, 0.6, size)
     return dataclasses.replace(
@@ -174,14 +192,14 @@ def full_mask(
 
 
 def mosaic(images: Stack, rng: np.random.Generator) -> tuple[Stack, Mapping[str, Any]]:
-    """Mask all but one random channel of each pixel, as a moving Bayer filter does."""
+    """Keep one random channel of each pixel of each image, as a moved Bayer filter."""
     lights, *size, _ = images.shape
     channel = rng.choice(3, size=(lights, *size), p=(0.25, 0.5, 0.25))
     return images, {"mask": list(channel[..., None] == np.arange(3))}
 
 
 def missing(images: Stack, rng: np.random.Generator) -> tuple[Stack, Mapping[str, Any]]:
-    """Mask a quarter of the samples, channel by channel."""
+    """Mask a random quarter of the samples; each channel of a pixel is one."""
     return images, {"mask": list(rng.random(images.shape) > 0.25)}
 
 
@@ -202,7 +220,7 @@ def saturated(
 def shadowed(
     images: Stack, rng: np.random.Generator
 ) -> tuple[Stack, Mapping[str, Any]]:
-    """Halve the light of a quarter of the lamps."""
+    """Halve the images of a quarter of the lamps, as if they were in partial shadow."""
     del rng
     dark = images.copy()
     dark[: len(images) // 4] *= images.dtype.type(0.5)
@@ -212,49 +230,56 @@ def shadowed(
 def outliers(
     images: Stack, rng: np.random.Generator
 ) -> tuple[Stack, Mapping[str, Any]]:
-    """Replace a tenth of the samples by random numbers."""
-    anything = rng.random(images.shape).astype(images.dtype)
-    spoilt = np.where(rng.random(images.shape) < 0.1, anything, images)
-    return spoilt, {"mask": np.ones(images.shape[1:], bool)}
+    """Replace a tenth of the samples by random numbers in [0, 1)."""
+    random_values = rng.random(images.shape).astype(images.dtype)
+    images = np.where(rng.random(images.shape) < 0.1, random_values, images)
+    return images, {"mask": np.ones(images.shape[1:], bool)}
 
 
 def answers_of_maps(fitted: pf.Maps, truth: pf.Material) -> Answers:
     """Answers of a map, with every pixel as a draw and every flag as a warning."""
     columns = [
-        column for leaf in PARAMETERS for column in _columns(fitted, truth, leaf)
+        column for name in PARAMETERS for column in _columns(fitted, truth, name)
     ]
     labels, value, error, true = zip(*columns, strict=True)
     estimate, error, true = (
         np.stack(one, axis=1).astype(float) for one in (value, error, true)
     )
-    edges = [(1.0, 1000.0) if "shin" in one else (0.0, 1.0) for one in labels]
-    box = np.array(edges)
+    # The default bounds of maps.
+    bounds = np.array(
+        [(1.0, 1000.0) if "shininess" in one else (0.0, 1.0) for one in labels]
+    )
+    # Standard errors from an estimate to the end of its 95 % interval, if the noise is
+    # given; otherwise it is estimated from the residuals of the pixel.
     reach = 1.959964
     if fitted.noise_given is None:
         freedom = int(np.median(fitted.samples)) - len(labels)
         reach = student_reach(LEVEL, freedom)
-    low, high = np.clip(estimate + reach * error * [[[-1.0]], [[1.0]]], *box.T)
-    near = 1e-5 * np.maximum(box, 1e-3)
-    bound = (estimate <= box[:, 0] + near[:, 0]) | (estimate >= box[:, 1] - near[:, 1])
+    low, high = np.clip(estimate + reach * error * [[[-1.0]], [[1.0]]], *bounds.T)
+    # Estimates in single precision may be off their bound by rounding.
+    near = 1e-5 * np.maximum(bounds, 1e-3)
+    at_bound = estimate <= (bounds + near)[:, 0]
+    at_bound |= estimate >= (bounds - near)[:, 1]
     flags = fitted.flags.ravel()
     sentences = {int(one): flag_words(int(one)) for one in np.unique(flags)}
     warnings = tuple(sentences[int(one)] for one in flags)
     return Answers(
-        tuple(labels), true, estimate, error, low, high, bound, box, warnings
+        tuple(labels), true, estimate, error, low, high, at_bound, bounds, warnings
     )
 
 
-def _columns(fitted: pf.Maps, truth: pf.Material, leaf: str) -> list[tuple[Any, ...]]:
-    value, error = getattr(fitted, leaf), getattr(fitted.stderr, leaf)
-    true = np.broadcast_to(np.asarray(getattr(truth, leaf)), value.shape)
-    names = [leaf] if value.shape[-1] == 1 else [f"{leaf}.{c}" for c in CHANNELS]
+def _columns(fitted: pf.Maps, truth: pf.Material, name: str) -> list[tuple[Any, ...]]:
+    """Label, estimates, errors and truths of a parameter's channels, (pixels,) each."""
+    value, error = getattr(fitted, name), getattr(fitted.stderr, name)
+    true = np.broadcast_to(np.asarray(getattr(truth, name)), value.shape)
+    labels = [name] if value.shape[-1] == 1 else [f"{name}.{c}" for c in CHANNELS]
     return [
-        (name, value[..., k].ravel(), error[..., k].ravel(), true[..., k].ravel())
-        for k, name in enumerate(names)
+        (label, value[..., k].ravel(), error[..., k].ravel(), true[..., k].ravel())
+        for k, label in enumerate(labels)
     ]
 
 
 def flag_words(flags: int) -> tuple[str, ...]:
-    """A pixel's flags as sentences."""
+    """Flags of a pixel, the bits of [`pf.Flag`][phongfit.Flag], as sentences."""
     names = [str(flag.name).lower().replace("_", " ") for flag in pf.Flag(flags)]
     return tuple(f"flag: {name}" for name in names)

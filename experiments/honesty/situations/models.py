@@ -1,4 +1,4 @@
-"""The model is right: each kind of scene, material and photograph once."""
+"""Situations with a right model: each kind of scene, material and photograph once."""
 
 from typing import Any
 
@@ -66,12 +66,12 @@ def situations() -> list[Situation]:
 
 
 def under_two_lamps(**changes: Any) -> pf.Scene:
-    """A ball under two lamps."""
+    """A ball under two lamps; `changes` are arguments of [`ball_scene`][]."""
     return ball_scene(lamp(), lamp((-1, 0.3, 1), (0.3, 0.2, 0.1)), **changes)
 
 
 def random_material(rng: np.random.Generator) -> Subject:
-    """A ball of a random material within the bounds, with a visible highlight."""
+    """A ball of a random material within the bounds, with a highlight (ρ_s ≥ 0.15)."""
     material = pf.Material(
         diffuse=rng.uniform(0.1, 0.9, 3),
         specular=rng.uniform(0.15, 0.8, 3),
@@ -82,17 +82,22 @@ def random_material(rng: np.random.Generator) -> Subject:
 
 
 def grey_noise(light: Image, rng: np.random.Generator) -> Image:
-    """Add noise that is the same in all three channels, as in a grey camera's file."""
+    """Add noise that is equal in all three channels, as from a monochrome camera."""
     return light + NOISE * rng.normal(size=(*light.shape[:2], 1))
 
 
 def four_balls(**changes: Any) -> tuple[pf.Scene, ...]:
-    """One ball, photographed once under each of four lamps."""
-    return tuple(ball_scene(lamp(way), **changes) for way in spread_directions(4))
+    """Scenes of one ball, one for each of four lamps.
+
+    **Arguments:** `changes`: arguments of [`ball_scene`][].
+    """
+    return tuple(
+        ball_scene(lamp(direction), **changes) for direction in spread_directions(4)
+    )
 
 
 def mesh_ball(shading: pf.geometry.AbstractShading) -> Draw:
-    """A ball of triangles."""
+    """A ball of 576 triangles, shaded in this way."""
     return cached_subject(
         lambda: usual_subject(
             MATERIAL, ball_scene(surface=unit_ball(12), shading=shading)
@@ -103,8 +108,9 @@ def mesh_ball(shading: pf.geometry.AbstractShading) -> Draw:
 def three_materials() -> Subject:
     """A ball of triangles with three bands of different materials."""
     whole = unit_ball(24)
-    heights = np.asarray(whole.vertices)[np.asarray(whole.faces)].mean(axis=1)[:, 1]
-    bands = np.digitize(heights, (-0.3, 0.35))
+    centroids = np.asarray(whole.vertices)[np.asarray(whole.faces)].mean(axis=1)
+    # By height (y) above the ball's centre, whose radius is 1.
+    bands = np.digitize(centroids[:, 1], (-0.3, 0.35))
     surface = pf.Mesh(whole.vertices, whole.faces, whole.normals, bands)
     materials = stack_materials(
         [

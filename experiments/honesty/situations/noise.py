@@ -1,4 +1,4 @@
-"""Kinds of noise, of files, and of samples that are left out."""
+"""Situations with kinds of noise, of files, and of samples that are left out."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -20,12 +20,12 @@ from experiments.honesty.situations.base import (
 from experiments.honesty.situations.models import random_material
 from phongfit.rendering.film import decode, encode
 
-# Variance of shot noise for light of 1, and standard deviation of the read noise.
+# Variance of shot noise at white (1), and standard deviation of the read noise.
 SHOT, READ = 4e-4, 0.003
 
 
 def situations() -> list[Situation]:
-    """All situations with kinds of noise."""
+    """All situations with kinds of noise, of files, and of masks."""
     right: dict[str, Any] = {
         "noise 0.0001": fits(usual_subject(), noisy(1e-4)),
         "noise 0.05": fits(usual_subject(), noisy(0.05)),
@@ -85,23 +85,28 @@ def situations() -> list[Situation]:
 
 
 def film(encoding: Any, bits: int, level: float) -> Photograph:
-    """A function that adds noise, and rounds the encoded light to `bits` bits."""
-    top = 2**bits - 1
+    """A `Photograph` that adds noise, clips, encodes, rounds to `bits`, and decodes.
+
+    **Arguments:** `level`: standard deviation of the noise in linear light.
+    """
+    highest = 2**bits - 1
 
     def photograph(light: Image, rng: np.random.Generator) -> Image:
         shown = np.clip(noisy(level)(light, rng), 0, 1)
-        return decode(np.round(encode(shown, encoding) * top) / top, encoding)
+        return decode(np.round(encode(shown, encoding) * highest) / highest, encoding)
 
     return photograph
 
 
 def uniform(light: Image, rng: np.random.Generator) -> Image:
     """Add uniform noise, which has no large deviations."""
+    # ± √3 σ has the standard deviation σ.
     return light + NOISE * rng.uniform(-np.sqrt(3), np.sqrt(3), light.shape)
 
 
 def laplace(light: Image, rng: np.random.Generator) -> Image:
     """Add Laplace's noise, with more large deviations than Gaussian noise."""
+    # The standard deviation of Laplace's distribution is √2 times its scale.
     return light + rng.laplace(0, NOISE / np.sqrt(2), light.shape)
 
 
@@ -116,26 +121,27 @@ def shot_noise(light: Image, rng: np.random.Generator) -> Image:
 
 
 def shot_map(light: Image, rng: np.random.Generator) -> Mapping[str, Any]:
-    """The option `noise` of a fit for shot noise."""
+    """The option `noise` of a fit: the standard deviation of each sample."""
     del rng
     return {"noise": np.sqrt(shot_variance(light))}
 
 
 def shot_weights(light: Image, rng: np.random.Generator) -> Mapping[str, Any]:
-    """The option `weights` of a fit for shot noise, in an arbitrary unit."""
+    """The option `weights` of a fit: inverse variances, in an arbitrary unit."""
     del rng
     return {"weights": NOISE**2 / shot_variance(light)}
 
 
 def smoothed(light: Image, rng: np.random.Generator) -> Image:
     """Add noise that neighbours share, as after a camera's interpolation of colours."""
-    fresh = rng.normal(size=light.shape)
-    shared = (fresh + np.roll(fresh, 1, axis=0)) / np.sqrt(2)
-    return light + NOISE * (shared + np.roll(shared, 1, axis=1)) / np.sqrt(2)
+    independent = rng.normal(size=light.shape)
+    # Sums of two neighbours along each axis, of the same variance.
+    rows = (independent + np.roll(independent, 1, axis=0)) / np.sqrt(2)
+    return light + NOISE * (rows + np.roll(rows, 1, axis=1)) / np.sqrt(2)
 
 
 def red_noise(light: Image, rng: np.random.Generator) -> Image:
-    """Add noise, three times as much in red as in the other channels."""
+    """Add noise with a standard deviation in red three times that in green and blue."""
     return light + NOISE * np.array([3.0, 1.0, 1.0]) * rng.normal(size=light.shape)
 
 
@@ -143,9 +149,9 @@ def hole(light: Image, rng: np.random.Generator) -> Mapping[str, Any]:
     """Options with a mask that leaves out a disc, with a part of the highlight."""
     del rng
     rows, columns = np.indices(light.shape[:2])
-    middle = np.array(light.shape[:2]) * (0.42, 0.6)
-    apart = (rows - middle[0]) ** 2 + (columns - middle[1]) ** 2
-    return {"mask": apart > (0.06 * len(light)) ** 2}
+    row, column = np.array(light.shape[:2]) * (0.42, 0.6)
+    squared_distance = (rows - row) ** 2 + (columns - column) ** 2
+    return {"mask": squared_distance > (0.06 * len(light)) ** 2}
 
 
 def mosaic(light: Image, rng: np.random.Generator) -> Mapping[str, Any]:

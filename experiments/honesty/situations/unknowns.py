@@ -1,4 +1,4 @@
-"""Unknowns of the scene, and what is known beforehand: ties and priors."""
+"""Situations with unknowns of scenes, with ties, and with priors."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -23,22 +23,27 @@ from experiments.honesty.situations.base import (
     usual_subject,
 )
 
+# The unknowns that `pf.fit` has by default.
 USUAL = ("ambient", "diffuse", "specular", "shininess")
+# True exposures of three photographs.
 EXPOSURES = (1.0, 0.7, 1.4)
-# Rotation of the camera about the world's axes, degrees.
+# Rotation vector of the camera in the world's axes, degrees.
 TURN = (0.6, -0.8, 2.0)
-# Standard deviation of a measured position, in radii of the ball.
+# Standard deviation of a bulb's measured position, world units; the ball's radius is 1.
 POSITION_SIGMA = 0.1
 TURN_LABELS = tuple(f"scene.camera.rotation.{axis}" for axis in "xyz")
 
 
 def situations() -> list[Situation]:
-    """All situations with unknowns of scenes, ties and priors."""
+    """All situations with unknowns of scenes, with ties, and with priors."""
     return [*scene_unknowns(), *ties_and_priors()]
 
 
 def small_ball(*lights: pf.AbstractLight, **changes: Any) -> pf.Scene:
-    """A ball of few pixels, since these fits try many starts."""
+    """The usual ball in 32 × 32 pixels, since these fits try many starts.
+
+    **Arguments:** `lights`, `changes`: as in [`ball_scene`][].
+    """
     return ball_scene(*lights, size=SMALL, **changes)
 
 
@@ -197,66 +202,82 @@ def scene_unknowns() -> list[Situation]:
 
 
 def near_bulb(offset: Sequence[float] | np.ndarray = (0, 0, 0)) -> pf.PointLight:
-    """A bulb so near that its light falls off, moved by `offset` from its place."""
+    """A bulb so near that its light falls off over the ball.
+
+    **Arguments:** `offset`: from its measured position, world units.
+    """
     return pf.PointLight(np.array((0.8, 0.9, 2.2)) + offset, attenuation=(0.5, 0, 0.3))
 
 
 def bulb_misplaced(rng: np.random.Generator) -> Subject:
-    """The ball under a bulb that is not quite where it was measured."""
+    """The ball under a bulb at a random offset from its measured position."""
     return usual_subject(
         MATERIAL, small_ball(near_bulb(POSITION_SIGMA * rng.normal(size=3)))
     )
 
 
 def tilted_direction(degrees: float) -> np.ndarray:
-    """The lamp's direction, turned by an angle towards the viewer's direction."""
-    way = np.asarray(lamp().direction, float)
-    across = np.array([0, 0, 1]) - way[2] * way
+    """The usual lamp's direction, turned by an angle towards the viewer (+z)."""
+    direction = np.asarray(lamp().direction, float)
+    across = np.array([0, 0, 1]) - direction[2] * direction
     across /= np.linalg.norm(across)
     angle = np.deg2rad(degrees)
-    return np.cos(angle) * way + np.sin(angle) * across
+    return np.cos(angle) * direction + np.sin(angle) * across
 
 
 def turned_camera(degrees: Sequence[float]) -> pf.OrthographicCamera:
-    """The usual camera, rotated from its view along −z."""
-    turn = Rotation.from_rotvec(degrees, degrees=True).as_matrix()
-    return pf.OrthographicCamera(SMALL, SMALL, rotation=turn)
+    """The usual camera, rotated from its view along −z.
+
+    **Arguments:** `degrees`: rotation vector in the world's axes.
+    """
+    rotation = Rotation.from_rotvec(degrees, degrees=True).as_matrix()
+    return pf.OrthographicCamera(SMALL, SMALL, rotation=rotation)
 
 
 def central_mask(light: Image, rng: np.random.Generator) -> Mapping[str, Any]:
-    """Options with a mask of pixels that see the ball however the camera is turned."""
+    """Options with a mask of pixels that see the ball also if the camera is turned.
+
+    A disc of 0.6 of half the image's width; the ball's radius is 0.91 of it.
+    """
     del rng
     rows, columns = (np.indices(light.shape[:2]) + 0.5) / len(light) * 2 - 1
     return {"mask": rows**2 + columns**2 < 0.6**2}
 
 
 def exposure_scenes(times: Sequence[float]) -> tuple[pf.Scene, ...]:
-    """Scenes of the ball, one for each lamp, with exposure times that differ."""
-    ways = spread_directions(len(times))
+    """Scenes of the ball, one for each lamp; an exposure is a factor on all light.
+
+    **Arguments:** `times`: exposure of each scene.
+    """
+    directions = spread_directions(len(times))
     return tuple(
-        small_ball(lamp(way, 0.4 * time), ambient=0.3 * time)
-        for way, time in zip(ways, times, strict=True)
+        small_ball(lamp(direction, 0.4 * time), ambient=0.3 * time)
+        for direction, time in zip(directions, times, strict=True)
     )
 
 
 def bulbs(x: float) -> tuple[pf.PointLight, pf.PointLight]:
-    """Two bulbs, one at each side; the right one is brighter, so they differ."""
+    """Two bulbs at x and −x; the right one is brighter, so they are distinguishable."""
     right = pf.PointLight((x, 1.0, 2.5), 0.5)
     return right, pf.PointLight((-x, 1.0, 2.5), 0.25)
 
 
 def mirrored() -> dict[str, Any]:
-    """Ties that make the second bulb the mirror image of the first."""
-    one, other = ("scene.lights[0].position", "scene.lights[1].position")
+    """Ties that mirror the second bulb's position: x is −1 times that of the first."""
+    first, second = "scene.lights[0].position", "scene.lights[1].position"
     return {
-        f"{other}.x": (-1.0, f"{one}.x"),
-        f"{other}.y": f"{one}.y",
-        f"{other}.z": f"{one}.z",
+        f"{second}.x": (-1.0, f"{first}.x"),
+        f"{second}.y": f"{first}.y",
+        f"{second}.z": f"{first}.z",
     }
 
 
 def ties_and_priors() -> list[Situation]:
-    """Situations with right and with wrong ties and priors."""
+    """Situations with right and with wrong ties and priors.
+
+    A tie is a label, or a pair of factor and label; a prior is mean and standard
+    deviation.
+    """
     grey_specular = usual_material(specular=0.3)
     equal = {"specular.green": "specular.red", "specular.blue": "specular.red"}
     half = {"diffuse.green": (0.5, "diffuse.red")}
@@ -291,7 +312,12 @@ def ties_and_priors() -> list[Situation]:
 
 
 def with_prior(center: float, deviation: float, cut: bool = False) -> Any:
-    """Fits with a prior on the exponent whose centre is a noisy measurement."""
+    """A function that fits with a prior on the exponent, whose mean varies by draw.
+
+    **Arguments:** `center`: expectation of the prior's mean; `deviation`: standard
+    deviation of the prior, and of its mean; `cut`: whether images are clipped to
+    [0, 1].
+    """
 
     def draw_options(light: Image, rng: np.random.Generator) -> Mapping[str, Any]:
         del light

@@ -1,4 +1,4 @@
-"""The model is wrong: the fitted scene or model differs from the true one."""
+"""Situations in which the fitted scene or model differs from the true one."""
 
 from collections.abc import Callable
 
@@ -70,7 +70,10 @@ def situations() -> list[Situation]:
 
 
 def wrong_exponent(*scenes: pf.Scene) -> Callable[[Draws], Answers]:
-    """Fits that hold the exponent at 66 while the true one is 60."""
+    """A function that fits with the exponent fixed at 66, while the true one is 60.
+
+    **Arguments:** `scenes`: photographed and fitted.
+    """
     subject = usual_subject(usual_material(shininess=60.0), *scenes)
     return fits(subject, noisy(), fixed={"shininess": 66.0})
 
@@ -78,7 +81,12 @@ def wrong_exponent(*scenes: pf.Scene) -> Callable[[Draws], Answers]:
 def lamp_left_out(
     fraction: float, size: int, noise: float
 ) -> Callable[[Draws], Answers]:
-    """Fits of a scene that lacks the weaker one of two lamps."""
+    """A function that fits with one lamp, while the true scene has a weak second one.
+
+    **Arguments:** `fraction`: intensity of the second lamp over that of the first;
+    `noise`: standard deviation.
+    """
+    # 0.6 is the usual lamp's intensity.
     both = ball_scene(lamp(), lamp((-1, -0.4, 1), 0.6 * fraction), size=size)
     return fits(
         usual_subject(MATERIAL, both), noisy(noise), fitted=ball_scene(size=size)
@@ -86,14 +94,21 @@ def lamp_left_out(
 
 
 def lamps_far_apart(specular: pf.AbstractSpecular | None = None) -> Subject:
-    """A ball under two lamps far apart: the models' highlights turn differently."""
+    """A ball under two lamps far apart, where the specular models differ most.
+
+    **Arguments:** `specular`: the specular model; `None`: Blinn-Phong.
+    """
     lamps = lamp(), lamp((-1.0, -0.4, -0.2))
     return usual_subject(MATERIAL, ball_scene(*lamps, specular_model=specular))
 
 
 def turned_lamp(degrees: float) -> tuple[float, float, float]:
-    """The lamp's direction, moved by this arc on its circle about the viewer's axis."""
-    # On a smaller circle an arc takes a larger angle.
+    """The usual lamp's direction, rotated about z by an arc of `degrees` on the sphere.
+
+    The angle to the viewer (+z) stays as it is.
+    """
+    # On its circle about z, which is smaller than a great circle, an arc takes a
+    # larger angle.
     angle = np.deg2rad(degrees) / np.sin(np.arccos(LAMP[2] / np.linalg.norm(LAMP)))
     x, y, z = LAMP
     cos, sin = float(np.cos(angle)), float(np.sin(angle))
@@ -101,7 +116,10 @@ def turned_lamp(degrees: float) -> tuple[float, float, float]:
 
 
 def read_as(written: Encoding, read: Encoding) -> Callable[[Draws], Answers]:
-    """A function that stores noisy light in one encoding, and reads it in another."""
+    """A function that fits photographs stored in one encoding and read in another.
+
+    **Arguments:** `written`: encoding of the file; `read`: the one used to decode it.
+    """
 
     def photograph(light: Image, rng: np.random.Generator) -> Image:
         return decode(encode(clamped(noisy())(light, rng), written), read)
@@ -110,29 +128,35 @@ def read_as(written: Encoding, read: Encoding) -> Callable[[Draws], Answers]:
 
 
 def bright() -> pf.Scene:
-    """The ball with a highlight past white."""
+    """The ball under a lamp so strong that its highlight exceeds white."""
     return ball_scene(lamp(intensity=1.2))
 
 
 def twelve_bits(light: Image, rng: np.random.Generator) -> Image:
-    """A camera's 12 bits as they stand in a file of 16: white is 4095 of 65535."""
+    """A photograph of 12 bits in a file of 16 bits: white is 4095 of 65535."""
     return np.round(4095 * clamped(noisy())(light, rng)) / 65535
 
 
 def gamma(light: Image, rng: np.random.Generator) -> Image:
-    """Encode by gamma 2.2 and decode as sRGB; the noise is low enough to show this."""
+    """A noisy photograph encoded by gamma 2.2 and decoded as sRGB.
+
+    The curves are so alike that only low noise shows the difference.
+    """
     return decode(clamped(noisy(0.0015))(light, rng) ** (1 / 2.2), "srgb")
 
 
 def pixel_coordinates(light: Image) -> tuple[np.ndarray, np.ndarray]:
-    """x to the right and y up, from −1 to 1, of shape (H, W, 1)."""
+    """x to the right and y up of each pixel, from −1 to 1, of shape (H, W, 1) each."""
     steps = [(np.arange(n) + 0.5) / n * 2 - 1 for n in light.shape[:2]]
     y, x = np.meshgrid(-steps[0], steps[1], indexing="ij")
     return x[..., None], y[..., None]
 
 
 def ground(light: Image, rng: np.random.Generator) -> Image:
-    """Add light that a table reflects from below, and noise."""
+    """Add light that a table reflects from below, and noise.
+
+    0.03 at the lower edge of the image, falling linearly to 0 at the upper one.
+    """
     _, y = pixel_coordinates(light)
     seen = light.any(axis=-1, keepdims=True)
     return noisy()(light + np.where(seen, 0.03 * (1 - y) / 2, 0), rng)
@@ -145,18 +169,19 @@ def vignetting(light: Image, rng: np.random.Generator) -> Image:
 
 
 def blurred(light: Image, rng: np.random.Generator) -> Image:
-    """Blur the light by a pixel, and add noise afterwards."""
+    """Blur the light by a Gaussian of σ = 1 pixel, and add noise afterwards."""
     return noisy()(gaussian_filter(light, (1, 1, 0)), rng)
 
 
 def shifted() -> pf.Scene:
     """The scene with the ball half a pixel to the right."""
+    # The image is 2.2 world units and 48 pixels high.
     half = 0.5 * 2.2 / 48
     return ball_scene(surface=pf.Sphere(center=(half, 0.0, 0.0)))
 
 
 def shadowed(light: Image, rng: np.random.Generator) -> Image:
-    """Darken a disc, as an object in the lamp's way does; add noise."""
+    """Darken a disc to 0.6 of its light, as an object before the lamp; add noise."""
     x, y = pixel_coordinates(light)
     disc = (x + 0.2) ** 2 + (y - 0.1) ** 2 < 0.15**2
     return noisy()(np.where(disc, 0.6 * light, light), rng)
@@ -169,6 +194,6 @@ def rippled(light: Image, rng: np.random.Generator) -> Image:
 
 
 def black_level(light: Image, rng: np.random.Generator) -> Image:
-    """Add a black level of 0.01 in every other band of rows, and noise."""
+    """Add a black level of 0.01 in every second band of 12 rows, and noise."""
     band = (np.arange(len(light)) // 12 % 2)[:, None, None]
     return noisy()(light + 0.01 * band, rng)

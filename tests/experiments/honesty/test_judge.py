@@ -104,8 +104,8 @@ def test_what_is_not_identified():
     assert verdict.faults == () and verdict.infinite == 0.25
     claimed = judge(answers, "open", unidentifiable=("shininess", "diffuse.green"))
     assert [one.split()[0] for one in claimed.faults] == ["shininess", "diffuse.green"]
-    # And a right model that is said to be unknowable answers nothing.
-    assert "not to be identifiable" in judge(unknown, "right").faults[0]
+    # With a right model whose parameters are identifiable, infinite errors are a fault.
+    assert "infinite error" in judge(unknown, "right").faults[0]
 
 
 def test_estimates_on_their_bound():
