@@ -68,7 +68,7 @@ class Quadratic:
         """
         if self.least > level:
             return np.full((len(along), 2), np.nan)
-        vectors = (SIDES[:, None] * along[:, None]).reshape(-1, along.shape[1])
+        vectors = np.repeat(along, 2, axis=0) * np.tile(SIDES, len(along))[:, None]
         points = self._without_box(vectors, level)
         outside = ~np.all((self.lower <= points) & (points <= self.upper), axis=1)
         for k in np.flatnonzero(outside):
