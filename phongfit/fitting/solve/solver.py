@@ -236,8 +236,8 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
 
     Units of the unknowns do not matter, and zero or parallel columns are allowed. It
     works under `jit` and `vmap`; under `vmap` all problems take as long as the slowest.
-    On the problems of Moré, Garbow and Hillstrom, free and in boxes, it ends no higher
-    than SciPy's `least_squares`.
+    On a dozen problems of Moré, Garbow and Hillstrom, free and in boxes, it ends no
+    higher than SciPy's `least_squares`.
 
     !!! example
         ```python
