@@ -4,7 +4,7 @@ The Cramér-Rao bound, which no unbiased estimate can beat, is predicted for eac
 parameter as noise, lamps, resolution, clipping and the part of the highlight that is
 seen change, and compared with the spread of many fits of noisy images. Errors are
 relative to the true value; that of f is of its logarithm. Where the exponent is not
-identifiable, errors of the other parameters are predicted from simulated fits.
+identifiable, the predicted errors of the other parameters hold for any exponent.
 """
 
 import dataclasses
@@ -365,8 +365,8 @@ def summarize(results: Results) -> str:
     if others.any():
         answer += (
             " There the exponent of a fit may be anything, and a broad highlight looks "
-            "like ρ_d, which no formula at the true f describes. So ρ_d and ρ_a are "
-            "predicted from simulated fits, and the spread is "
+            "like ρ_d. So the predicted errors of ρ_d and ρ_a hold for any exponent; "
+            "the spread is "
             f"{ratio[others].min():.2f} to {ratio[others].max():.2f} of it."
         )
     return answer

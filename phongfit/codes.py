@@ -43,9 +43,6 @@ REMEDIES: Mapping[str, str] = MappingProxyType(
         "--white), or mask these samples",
         "few-unclipped": "Give noise, or expose less",
         "outliers": "Leave them out by a mask, or try a robust loss",
-        # Warnings of predictions.
-        "drawn-errors": "Predict with a light or view that shows a highlight, or hold "
-        "shininess (fixed)",
         # Warnings of maps, heights and meshes.
         "bulging-normals": "Try the lights with y (or x) of the opposite sign",
         "broad-highlights": "Let pixels share their highlight (materials=1, or as many "

@@ -102,7 +102,7 @@ def true_values(fit: pf.Fit, trial: Trial) -> np.ndarray:
     """The true values in the order of `fit.labels`."""
     unknowns = fit.solution.problem.unknowns
     values = first_values(unknowns.parameters, trial.scenes, trial.material)
-    truths = {**dict(zip(unknowns.entry_labels, values, strict=True)), **trial.others}
+    truths = {**dict(zip(unknowns.table.label, values, strict=True)), **trial.others}
     return np.array([truths[label] for label in fit.labels])
 
 

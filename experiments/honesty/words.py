@@ -49,7 +49,6 @@ SUBJECTS = {
     "no-highlight": WarningSubject.OPEN,
     "degenerate": WarningSubject.OPEN,
     "all-white": WarningSubject.OPEN,
-    "drawn-errors": WarningSubject.OPEN,
     # Flags of a map's pixels.
     f"{FLAG}misfit": WarningSubject.FIT,
     f"{FLAG}not converged": WarningSubject.FIT,

@@ -116,7 +116,7 @@ def _held(unknowns: Unknowns, scenes: tuple[Scene, ...]) -> tuple[Array, Array]:
         arrays = [scene_arrays(one)[name] for one in scenes[: len(places)]]
         there = jnp.stack([one.ravel() for one in arrays])
         offset = offset.at[places].set(there.astype(offset.dtype))
-    return jnp.where(unknowns.entry_nuisance, 0, unknowns.factor), offset
+    return jnp.where(unknowns.table.nuisance, 0, unknowns.factor), offset
 
 
 def _lost(fit: Fit) -> Float[Array, "3 samples"] | float:

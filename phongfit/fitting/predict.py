@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Array
 
 from phongfit.checks import untraced
-from phongfit.codes import coded
 from phongfit.edge import checked
 from phongfit.fitting.problem.layout import first_values
 from phongfit.fitting.problem.losses import Linear
@@ -21,9 +20,8 @@ from phongfit.fitting.problem.specification import Specification
 from phongfit.fitting.result import as_materials
 from phongfit.fitting.solve.edges import off_edges
 from phongfit.fitting.solve.jpeg import foresee
-from phongfit.fitting.uncertainty.estimate import Estimates, estimates
+from phongfit.fitting.uncertainty.estimate import estimates
 from phongfit.fitting.uncertainty.numbers import parameter_rows
-from phongfit.fitting.uncertainty.scatter import scatter
 from phongfit.fitting.uncertainty.warnings import coarse_words
 from phongfit.material import Material
 from phongfit.rendering.film import Film, as_films, decode
@@ -83,12 +81,9 @@ def predict_errors(
     J)^{-1}$: no unbiased estimate from these images has smaller errors. So lights and
     views can be compared before they are set up.
 
-    If an exponent is not identifiable, fits end at any exponent, and the bound at the
-    true one is too small. Errors are then root mean squares of the deviations of 400
-    fits to simulated photographs, with the noise given. The random numbers are the same
-    each time, and the fits take seconds. Such an error is accurate to 4 %, or less if a
-    few fits deviate far. The errors that a fit states are often twice as large, since
-    they hold for any exponent.
+    If an exponent is not identifiable, errors of the other unknowns hold for any
+    exponent, as those of a fit do. Where noise looks like a broad highlight, a fit may
+    still deviate by several such errors, once in some ten photographs.
 
     **Arguments:**
 
@@ -138,17 +133,9 @@ def predict_errors(
     problem = Problem(samples, unknowns, sigma, Linear(), setting.films[0].clamp)
     entries = first_values(unknowns.parameters, scenes, material)
     y = jnp.asarray(unknowns.position(entries))
-    rounded = any(one.jpeg is not None for one in films)
-    if rounded:
+    if any(one.jpeg is not None for one in films):
         problem = foresee(problem, y, sources, films)
     estimated = estimates(_expected(problem, y), y)
-    is_exponent = unknowns.entry_parameter[unknowns.reported] == "shininess"
-    if (
-        estimated.unidentified[is_exponent].any()
-        and not estimated.unidentified[~is_exponent].all()
-    ):
-        ends = scatter(problem, sources, y)[:, unknowns.reported]
-        estimated = _as_scattered(estimated, ends - estimated.values, rounded)
     errors = np.zeros_like(entries)
     errors[unknowns.reported] = estimated.errors
     return Prediction(
@@ -173,29 +160,6 @@ def _expected(problem: Problem, y: Array) -> Problem:
     target = problem.samples.target
     shown = target + jnp.where(target < 1, evaluate(problem, y).difference, 0)
     return eqx.tree_at(lambda p: p.samples.target, problem, shown)
-
-
-def _as_scattered(estimated: Estimates, off: np.ndarray, rounded: bool) -> Estimates:
-    """Estimates with errors from the deviations `off` of simulated fits.
-
-    **Arguments:** `off`: (draws, labels); `rounded`: whether photographs will be JPEG
-    files, which the simulation ignores.
-    """
-    covariance = off.T @ off / len(off)
-    errors = np.where(estimated.unidentified, np.inf, np.sqrt(np.diag(covariance)))
-    # Entries that are not identified or lie at a bound keep their covariance.
-    without = estimated.unidentified | estimated.at_bound
-    unknown = without[:, None] | without[None]
-    covariance = np.where(unknown, estimated.covariance, covariance)
-    words = (
-        f"the exponent may be any: the other errors are those of {len(off)} drawn fits"
-    )
-    if rounded:
-        words += ", which do not include JPEG"
-    reasons = (*estimated.reasons, coded("drawn-errors", words))
-    return dataclasses.replace(
-        estimated, errors=errors, covariance=covariance, reasons=reasons
-    )
 
 
 def _photograph(scene: Scene, material: Material, film: Film) -> np.ndarray:

@@ -191,7 +191,7 @@ def settings(module: Any) -> str:
 def bounds_words(fit: Fit) -> str:
     """Bounds of the unknowns in words, with equal bounds grouped."""
     unknowns = fit.solution.problem.unknowns
-    parameters = unknowns.entry_parameter[unknowns.reported]
+    parameters = unknowns.table.parameter[unknowns.reported]
     groups: dict[tuple[float, float], list[str]] = {}
     for parameter, (low, high) in zip(
         parameters.tolist(), fit.bounds.tolist(), strict=True
@@ -208,11 +208,11 @@ def bounds_words(fit: Fit) -> str:
 def known_words(fit: Fit) -> str:
     """Constraints in words: unknowns that were held, tied or had a prior."""
     unknowns = fit.solution.problem.unknowns
-    labels = unknowns.entry_labels
+    labels = unknowns.table.label
     groups = (
         ("held", labels, unknowns.fixed),
         ("tied", fit.labels, fit.tied),
-        ("with a prior", labels, unknowns.has_prior & ~unknowns.entry_nuisance),
+        ("with a prior", labels, unknowns.has_prior & ~unknowns.table.nuisance),
         ("with an error of its own", *_uncertain(fit)),
     )
     words = [

@@ -1,6 +1,5 @@
 """What a fit could know, before it: against fits of noisy photographs."""
 
-import dataclasses
 import functools
 from typing import Any
 
@@ -8,16 +7,11 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from phongfit.fitting.fit import set_up
 from phongfit.fitting.predict import Prediction
-from phongfit.fitting.problem.samples import seen_pixels
-from phongfit.fitting.problem.specification import Specification
-from phongfit.fitting.solve.start import choose_few
-from phongfit.fitting.uncertainty import scatter
 from tests.fitting import canonical
 from tests.fitting.canonical import NOISE
 from tests.fitting.scenes import PARAMETERS, as_vector, ball, photograph, truth
-from tests.helpers import known, near
+from tests.helpers import near
 
 TRUTH = truth()
 
@@ -97,86 +91,32 @@ def test_a_reflectance_at_its_bound():
 
 
 @pytest.mark.extended
-def test_what_is_not_identifiable_is_named(few_draws):
+def test_what_is_not_identifiable_is_named():
     predicted = pf.predict_errors(SCENE, MATTE, NOISE)
     assert predicted.unidentified[9] and np.isinf(predicted.errors[9])
     assert np.isinf(predicted.stderr.shininess)
     assert any("shininess is not identifiable" in words for words in predicted.warnings)
-    assert any("those of 60 drawn fits" in words for words in predicted.warnings)
-    near(predicted.errors[:6] ** 2, np.diag(predicted.covariance)[:6], 1e-5)
     text = str(predicted)
     assert text.startswith("phongfit: what ")
     assert "! shininess is not identifiable" in text
 
 
-@pytest.fixture
-def few_draws(monkeypatch):
-    monkeypatch.setattr(scatter, "DRAWS", 60)
-
-
-def check_like_fits(
-    scene: pf.Scene, material: pf.Material, count: int, noise: float | None = None
-) -> None:
-    """What is predicted of ρ_a and ρ_d is what so many fits are off by."""
-    predicted = pf.predict_errors(scene, material, NOISE)
-    assert predicted.unidentified.tolist() == [False] * 9 + [True]
-    off = []
-    for seed in range(count):
-        image = photograph(scene, material, noise=NOISE, seed=seed)
-        off.append(pf.fit(scene, image, noise=noise).values - predicted.values)
-    spread = np.sqrt(np.mean(np.square(off), axis=0))
-    # Some fits stray far, and how many is chance. At one exponent errors are up to 20
-    # times too small.
-    np.testing.assert_allclose(predicted.errors[:6], spread[:6], rtol=0.6)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("scene", [FRONTAL, SCENE])
-@pytest.mark.parametrize("specular", [0.0, 0.002])
-def test_without_a_highlight_errors_are_those_that_fits_make(scene, specular):
-    material = dataclasses.replace(MATTE, specular=np.full(3, specular))
-    check_like_fits(scene, material, 200, NOISE)
-
-
-@pytest.mark.extended
-def test_so_they_are_in_a_few_draws(few_draws):
-    check_like_fits(SCENE, MATTE, 40)
-
-
 @pytest.mark.extended
 @pytest.mark.parametrize("scene, times", [(FRONTAL, 5.0), (SCENE, 1.3)])
-def test_errors_at_one_exponent_are_too_small(few_draws, scene, times):
+def test_errors_without_a_highlight_hold_for_any_exponent(scene, times):
     """At f = 1 and light from the viewer, a highlight is what Lambert's light is."""
-    open_end = pf.predict_errors(scene, MATTE, NOISE)
+    predicted = pf.predict_errors(scene, MATTE, NOISE)
+    assert predicted.unidentified.tolist() == [False] * 9 + [True]
     held = {"shininess": 20.0, "specular": 0.0}
     one = pf.predict_errors(scene, MATTE, NOISE, fixed=held)
-    assert np.all(open_end.errors[3:6] > times * one.errors[3:6])
-    assert any("those of 60 drawn fits" in words for words in open_end.warnings)
-    near(open_end.errors[:6] ** 2, np.diag(open_end.covariance)[:6], 1e-5)
-
-
-def test_of_many_pixels_a_few_stand_for_all():
-    scene = ball(size=64)
-    (source,) = set_up(Specification(), scene, photograph(scene, MATTE)).sources
-    (seen,) = seen_pixels([source])
-    (few,) = known(choose_few([source], [seen]))
-    weight = np.asarray(scatter._stands_for(source, seen, few).weight).reshape(-1, 1)
-    used = np.unique(few)
-    assert len(used) < 0.5 * len(seen)
-    near(weight[used].sum(axis=0), len(seen), 1e-5)
-    # In each part of the image as in all of it.
-    upper = seen // 64 < 32
-    top = weight[used[used // 64 < 32]].sum(axis=0)
-    np.testing.assert_allclose(top, upper.sum(), rtol=0.05)
-
-
-@pytest.mark.slow
-def test_their_errors_are_those_of_all():
-    """The same light, on four times the pixels: half the errors."""
-    small, large = (
-        pf.predict_errors(ball(size=size), MATTE, NOISE).errors[:6] for size in (40, 80)
-    )
-    np.testing.assert_allclose(small / large, 2, rtol=0.25)
+    assert np.all(predicted.errors[3:6] > times * one.errors[3:6])
+    fits = [
+        pf.fit(scene, photograph(scene, MATTE, noise=NOISE, seed=seed), noise=NOISE)
+        for seed in range(12)
+    ]
+    off = np.array([fit.values for fit in fits])[:, :6] - predicted.values[:6]
+    # Few fits stray far, where noise looks like a broad highlight.
+    assert np.mean(np.abs(off) < 2 * predicted.errors[:6]) > 0.9
 
 
 def test_options_are_those_of_a_fit():

@@ -18,6 +18,7 @@ from phongfit.fitting.problem.parameters import (
     Parameter,
     is_of_model,
     is_of_scene,
+    list_entries,
     parameter,
     scene_arrays,
 )
@@ -50,11 +51,11 @@ def make_unknowns(
     parameters = _parameters(specification, known, materials, scenes)
     parameters += _nuisances(specification, scenes)
     names = _Names(parameters)
-    size = len(names.labels)
+    table, size = names.table, len(names.table.label)
     first = first_values(parameters, scenes)
     factor, offset, is_fixed, source = _held(names, fixed, ties)
     own = (np.arange(size) == source) & ~is_fixed
-    nuisance = np.array([one.nuisance for one in names.parameter])
+    nuisance = table.nuisance
     if not (own & ~nuisance).any():
         raise ValueError("fixed: nothing unknown is left")
 
@@ -62,9 +63,8 @@ def make_unknowns(
     low, high = _narrowed(names, low, high, factor, source)
     low, high = np.where(nuisance, -np.inf, low), np.where(nuisance, np.inf, high)
     _check_fixed(names, offset, is_fixed, ties)
-    forms = np.repeat([f.form for f in parameters], [f.size for f in parameters])
     scale = _scales(parameters, first)
-    logarithm, direction = forms == "logarithm", forms == "direction"
+    logarithm, direction = table.form == "logarithm", table.form == "direction"
     with np.errstate(divide="ignore"):
         low, high = (
             np.where(logarithm, np.log(np.where(logarithm, e, 1)), e / scale)
@@ -74,7 +74,7 @@ def make_unknowns(
     y_index, taken = np.zeros(size, int), 0
     own_entries = []
     for entry in np.flatnonzero(own):
-        if direction[entry] and names.part[entry] > 0:
+        if direction[entry] and table.part[entry] > 0:
             y_index[entry] = y_index[entry - 1]
             continue
         y_index[entry] = taken
@@ -132,21 +132,13 @@ class _Names:
     """Indices of entries, by the names of parameters or entries."""
 
     def __init__(self, parameters: tuple[Parameter, ...]):
-        self.labels = [label for one in parameters for label in one.labels]
-        self.form = [one.form for one in parameters for _ in one.labels]
-        self.parameter = [one for one in parameters for _ in one.labels]
-        self.part = [
-            part
-            for one in parameters
-            for _ in one.rows
-            for part in range(len(one.parts))
-        ]
+        self.table = list_entries(parameters)
         self._of: dict[str, list[int]] = {}
-        pairs = zip(self.labels, self.parameter, strict=True)
-        for entry, (label, one) in enumerate(pairs):
-            row = label.removesuffix(one.parts[self.part[entry]])
-            for name in {one.name, row, label}:
-                self._of.setdefault(name, []).append(entry)
+        parts = [part for one in parameters for _ in one.rows for part in one.parts]
+        columns = zip(*self.table[::2][:2], parts, strict=True)
+        for entry, (label, name, part) in enumerate(columns):
+            for own in {str(name), label.removesuffix(part), str(label)}:
+                self._of.setdefault(own, []).append(entry)
 
     def entries(self, argument: str, name: str) -> np.ndarray:
         """Indices of the entries with this name; `ValueError` for other names.
@@ -154,12 +146,10 @@ class _Names:
         Nuisances have a name only in `uncertain`.
         """
         found = self._of.get(name)
-        if found is None or (
-            argument != "uncertain" and self.parameter[found[0]].nuisance
-        ):
-            sought = [one for one in self.parameter if not one.nuisance]
-            labels = self.labels[: len(sought)]
-            there = ", ".join(dict.fromkeys([*[f.name for f in sought], *labels]))
+        nuisance = self.table.nuisance
+        if found is None or (argument != "uncertain" and nuisance[found[0]]):
+            known = (self.table.parameter[~nuisance], self.table.label[~nuisance])
+            there = ", ".join(dict.fromkeys(np.concatenate(known).tolist()))
             raise ValueError(f"{argument}: expected one of {there}, got {name!r}")
         return np.array(found)
 
@@ -279,12 +269,12 @@ def _held(
     ties: Mapping[str, Tie],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """For each entry: factor, offset, whether fixed, and the entry it is tied to."""
-    size = len(names.labels)
+    size = len(names.table.label)
     factor, offset = np.ones(size), np.zeros(size)
     is_fixed, source = np.zeros(size, bool), np.arange(size)
     for name, given in fixed.items():
         entries = names.entries("fixed", name)
-        if any(names.form[entry] == "direction" for entry in entries):
+        if (names.table.form[entries] == "direction").any():
             raise ValueError(f"fixed: {name} is a direction; leave it out of unknowns")
         offset[entries] = names.numbers("fixed", name, given)
         factor[entries], is_fixed[entries] = 0, True
@@ -319,7 +309,7 @@ def _share_and_name(name: str, given: Tie) -> tuple[float, str]:
 def _check_tie(
     names: _Names, entry: int, target: int, is_fixed: np.ndarray, source: np.ndarray
 ) -> None:
-    label, other = names.labels[entry], names.labels[target]
+    label, other = names.table.label[[entry, target]]
     if is_fixed[entry]:
         raise ValueError(f"ties: {label} is fixed already")
     if source[entry] != entry:
@@ -329,10 +319,10 @@ def _check_tie(
         end = source[end]
     if end == entry:
         raise ValueError(f"ties: {label} is tied to itself")
-    forms = {names.form[entry], names.form[target]}
+    forms = set(names.table.form[[entry, target]])
     if "direction" in forms:
         raise ValueError(f"ties: {label} to {other}: directions cannot be tied")
-    both = (names.parameter[k].name for k in (entry, target))
+    both = names.table.parameter[[entry, target]]
     materials = {name in MATERIAL_PARAMETERS for name in both}
     if len(forms) > 1 or len(materials) > 1:
         raise ValueError(
@@ -364,17 +354,17 @@ def _boxes(
     names: _Names, bounds: Mapping[str, tuple[float, float]], is_fixed: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Lower and upper bounds of all entries in the user's units."""
-    low, high = np.array([one.default_bounds for one in names.parameter]).T.copy()
+    low, high = names.table.low.copy(), names.table.high.copy()
     for name, box in bounds.items():
         # Bounds of known parameters are ignored.
-        if name in DEFAULT_BOUNDS and name not in {f.name for f in names.parameter}:
+        if name in DEFAULT_BOUNDS and name not in names.table.parameter:
             continue
         entries = names.entries("bounds", name)
-        if any(names.form[entry] == "direction" for entry in entries):
+        if (names.table.form[entries] == "direction").any():
             raise ValueError(f"bounds: {name}: a direction has none")
         for entry in entries[is_fixed[entries]]:
-            raise ValueError(f"bounds: {names.labels[entry]} is fixed")
-        low[entries], high[entries] = _box(name, box, names.form[entries[0]])
+            raise ValueError(f"bounds: {names.table.label[entry]} is fixed")
+        low[entries], high[entries] = _box(name, box, names.table.form[entries[0]])
     return low, high
 
 
@@ -398,7 +388,7 @@ def _narrowed(
             high[target] = min(high[target], ends[1])
             inside = low[target] < high[target]
         if not inside:
-            label, other = names.labels[entry], names.labels[target]
+            label, other = names.table.label[[entry, target]]
             raise ValueError(
                 f"ties: {label} = {factor[entry]:g} × {other} leaves {other} no range "
                 f"of values within the bounds of both ({label}: {box[0]:g} … "
@@ -412,8 +402,8 @@ def _check_fixed(
 ) -> None:
     """Check that entries that cannot be negative are not held below 0."""
     for entry in np.flatnonzero(is_fixed):
-        if value[entry] < 0 <= names.parameter[entry].default_bounds[0]:
-            label = names.labels[entry]
+        if value[entry] < 0 <= names.table.low[entry]:
+            label = names.table.label[entry]
             tied = any(entry in names.entries("ties", name) for name in ties)
             raise ValueError(
                 f"{'ties' if tied else 'fixed'}: {label} is held at {value[entry]:g}, "
@@ -476,7 +466,7 @@ def _priors(
     scale: np.ndarray,
     is_fixed: np.ndarray,
 ) -> _Priors:
-    size = len(names.labels)
+    size = len(names.table.label)
     mean, has = np.zeros(size), np.zeros(size, bool)
     covariance = np.eye(size)
     for name, given in asked.priors.items():
@@ -494,7 +484,7 @@ def _priors(
             raise ValueError(f"priors: {name}: expected a standard deviation > 0")
         covariance[entries, entries] = deviation**2
         has[entries] = True
-    unknown = {one.name for one in names.parameter if not one.nuisance}
+    unknown = set(names.table.parameter[~names.table.nuisance])
     for key, given in asked.uncertain.items():
         own = as_names(key)
         if len({name in unknown for name in own}) > 1:
@@ -508,7 +498,7 @@ def _priors(
         block = covariance_of(key, given, len(entries))
         if not unknown.issuperset(own):
             block = _with_floor(names, entries, block, first, scale)
-        elif names.form[entries[0]] != "direction" and _is_singular(block):
+        elif names.table.form[entries[0]] != "direction" and _is_singular(block):
             raise ValueError(
                 f"uncertain: {key}: expected a covariance of full rank, since it is "
                 "unknown: an exactly known array cannot be an unknown"
@@ -516,7 +506,7 @@ def _priors(
         mean[entries], has[entries] = first[entries], True
         covariance[np.ix_(entries, entries)] = block
     for entry in np.flatnonzero(has & is_fixed):
-        raise ValueError(f"priors: {names.labels[entry]} is fixed")
+        raise ValueError(f"priors: {names.table.label[entry]} is fixed")
     deviation = np.sqrt(np.diag(covariance))
     return _Priors(mean, deviation, has, _whitening(covariance[np.ix_(has, has)]))
 
@@ -535,7 +525,7 @@ def _with_floor(
     variance = np.maximum(FLOOR * np.diag(block), (HELD * scale[entries]) ** 2)
     across = np.eye(len(entries))
     for k, entry in enumerate(entries):
-        if names.form[entry] == "direction" and names.part[entry] == 0:
+        if names.table.form[entry] == "direction" and names.table.part[entry] == 0:
             own = slice(k, k + 3)
             unit = first[entry : entry + 3] / np.linalg.norm(first[entry : entry + 3])
             across[own, own] -= np.outer(unit, unit)

@@ -5,8 +5,10 @@ A parameter of the material has its own name (`diffuse`), an array of the scene 
 """
 
 import dataclasses
+import functools
+import itertools
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -96,6 +98,44 @@ class Parameter:
         if last in _ANGLES:
             return _ANGLES[last]
         return (0.0 if last in _NOT_NEGATIVE else -np.inf), np.inf
+
+
+class Entries(NamedTuple):
+    """The numbers of parameters, one after the other; each column is an array.
+
+    - `label`, `form`, `parameter`: label, form, and name of the parameter.
+    - `row`: index of the material or image; 0 if all share the entry.
+    - `part`, `channel`: index in the row, and the channel; −1 if all share the entry.
+    - `per_image`, `nuisance`: whether it belongs to one image, or to a nuisance.
+    - `low`, `high`: default bounds.
+    """
+
+    label: np.ndarray
+    form: np.ndarray
+    parameter: np.ndarray
+    row: np.ndarray
+    part: np.ndarray
+    channel: np.ndarray
+    per_image: np.ndarray
+    nuisance: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
+@functools.cache
+def list_entries(parameters: tuple[Parameter, ...]) -> Entries:
+    """The numbers of all parameters."""
+    entries = [
+        (label, p.form, p.name, row, part, channel, p.per_image, p.nuisance, low, high)
+        for p in parameters
+        for low, high in [p.default_bounds]
+        for label, (row, (part, channel)) in zip(
+            p.labels,
+            itertools.product(range(len(p.rows)), enumerate(p.channels)),
+            strict=True,
+        )
+    ]
+    return Entries(*map(np.array, zip(*entries, strict=True)))
 
 
 def is_of_scene(name: str) -> bool:

@@ -256,7 +256,7 @@ def _check_constants(unknowns: Unknowns, sources: list[Source]) -> None:
     light = np.concatenate(
         [np.asarray(source.pixels.terms.ambient).reshape(-1, 3) for source in sources]
     )
-    free = set(np.array(unknowns.entry_parameter)[unknowns.y_entry])
+    free = set(np.array(unknowns.table.parameter)[unknowns.y_entry])
     known = {"ambient", "emission"} - free or unknowns.n_priors
     if not known and np.all(np.ptp(light, axis=0) <= 1e-6 * np.abs(light).max()):
         raise ValueError(

@@ -202,10 +202,7 @@ def gather(sources: list[Source], used: list[np.ndarray]) -> Samples:
     image = np.broadcast_to(index, (len(sources), size)).ravel()
     places = [_repeated(index, size) for index in used]
     asked = list(zip(sources, places, map(len, used), strict=True))
-    if len(asked) == 1 and sources[0].pixels.interpolation is None:
-        numbers = _gather_one(*_parts(*asked[0]))
-    else:
-        numbers = _join([_take(*_parts(*one)) for one in asked])
+    numbers = _join([_take(*_parts(*one)) for one in asked])
     views = [
         View(s.scene, None if s.gbuffer is None else s.gbuffer.select(place), place)
         for s, place, _ in asked
@@ -248,22 +245,14 @@ def _take(
     return pixels, target, jnp.broadcast_to(weight, target.shape), step
 
 
-def _joined(parts: list[_Numbers]) -> tuple[Channels, Array, Array, Array | None]:
+@program()
+def _join(parts: list[_Numbers]) -> tuple[Channels, Array, Array, Array | None]:
     """Join the images one after another, with channels as the first axis."""
     pixels, *numbers = zip(*parts, strict=True)
     target, weight = (_planes(jnp.concatenate(one)) for one in numbers[:2])
     rounded = numbers[2][0] is not None
     step = _planes(jnp.concatenate(numbers[2])) if rounded else None
     return by_channel(join_pixels(list(pixels))), target, weight, step
-
-
-_join = program()(_joined)
-
-
-@program()
-def _gather_one(*parts: Any) -> tuple[Channels, Array, Array, Array | None]:
-    """Samples of a single image, in one compiled program."""
-    return _joined([_take(*parts)])
 
 
 def seen_pixels(sources: list[Source]) -> list[np.ndarray]:

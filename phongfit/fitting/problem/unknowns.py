@@ -19,9 +19,11 @@ from phongfit.fitting.problem.charts import on_sphere, turned
 from phongfit.fitting.problem.parameters import (
     EXPOSURE,
     MATERIAL_PARAMETERS,
+    Entries,
     Parameter,
     is_of_model,
     is_of_scene,
+    list_entries,
     moves_geometry,
     with_arrays,
 )
@@ -80,36 +82,25 @@ class Unknowns(eqx.Module):
         """Names of the parameters that a result lists: all but nuisances."""
         return tuple(one.name for one in self.parameters if not one.nuisance)
 
-    @functools.cached_property
-    def entry_nuisance(self) -> np.ndarray:
-        """True for entries of nuisance parameters."""
-        return np.repeat(
-            [one.nuisance for one in self.parameters],
-            [one.size for one in self.parameters],
-        )
+    @property
+    def table(self) -> Entries:
+        """The entries of all parameters, with their properties as columns."""
+        return list_entries(self.parameters)
 
     @functools.cached_property
     def y_nuisance(self) -> np.ndarray:
         """True for numbers of y that belong to nuisance parameters."""
-        return self.entry_nuisance[self.y_entry]
-
-    @functools.cached_property
-    def entry_labels(self) -> tuple[str, ...]:
-        """A label for every entry."""
-        return tuple(
-            label for parameter in self.parameters for label in parameter.labels
-        )
+        return self.table.nuisance[self.y_entry]
 
     @functools.cached_property
     def reported(self) -> np.ndarray:
         """Entries that a result lists: neither fixed nor nuisances."""
-        return np.flatnonzero(~np.array(self.fixed) & ~self.entry_nuisance)
+        return np.flatnonzero(~np.array(self.fixed) & ~self.table.nuisance)
 
     @functools.cached_property
     def labels(self) -> tuple[str, ...]:
         """A name for every reported entry: `diffuse.red`, or `ambient[2].red`."""
-        labels = self.entry_labels
-        return tuple(labels[entry] for entry in self.reported)
+        return tuple(self.table.label[self.reported].tolist())
 
     @functools.cached_property
     def tied(self) -> np.ndarray:
@@ -122,7 +113,7 @@ class Unknowns(eqx.Module):
         edges = np.stack([self.lower, self.upper], axis=-1).astype(float)
         edges = edges[np.array(self.y_index)]
         scale = np.asarray(self.scale, float)[:, None]
-        forms = self.forms[:, None]
+        forms = self.table.form[:, None]
         # Only logarithms are exponentiated, since other entries could overflow.
         powers = np.exp(np.where(forms == "logarithm", edges, 0))
         edges = np.where(forms == "logarithm", powers, scale * edges)
@@ -161,49 +152,22 @@ class Unknowns(eqx.Module):
         return int(np.count_nonzero(np.array(self.has_prior)[self.reported]))
 
     @functools.cached_property
-    def forms(self) -> np.ndarray:
-        """Form of each entry in the solver: plain, logarithm, direction, rotation."""
-        return np.repeat(
-            [f.form for f in self.parameters], [f.size for f in self.parameters]
-        )
-
-    @functools.cached_property
-    def entry_parameter(self) -> np.ndarray:
-        """The parameter's name, for every entry."""
-        return np.repeat(self.names, [parameter.size for parameter in self.parameters])
-
-    @functools.cached_property
-    def entry_row(self) -> np.ndarray:
-        """Index of the material or image, for every entry; 0 if all share the entry."""
-        rows = [
-            np.repeat(np.arange(len(f.rows)), len(f.parts)) for f in self.parameters
-        ]
-        return np.concatenate(rows)
-
-    @functools.cached_property
-    def entry_channel(self) -> np.ndarray:
-        """The channel, for every entry; −1 if all channels share it."""
-        return np.concatenate(
-            [np.tile(f.channels, len(f.rows)) for f in self.parameters]
-        )
-
-    @functools.cached_property
     def y_parameter(self) -> np.ndarray:
         """The name of the parameter that each number of y belongs to."""
-        return self.entry_parameter[self.y_entry]
+        return self.table.parameter[self.y_entry]
 
     @functools.cached_property
     def y_material(self) -> np.ndarray:
         """Index of the material to which each number of y belongs; 0 if to none."""
         rows = np.where(
-            np.isin(self.entry_parameter, MATERIAL_PARAMETERS), self.entry_row, 0
+            np.isin(self.table.parameter, MATERIAL_PARAMETERS), self.table.row, 0
         )
         return rows[self.y_entry]
 
     @functools.cached_property
     def y_channel(self) -> np.ndarray:
         """The channel that each number of y belongs to; −1 where shared by all."""
-        return self.entry_channel[self.y_entry]
+        return self.table.channel[self.y_entry]
 
     @functools.cached_property
     def y_labels(self) -> tuple[str, ...]:
@@ -218,18 +182,16 @@ class Unknowns(eqx.Module):
     @functools.cached_property
     def free_labels(self) -> tuple[str, ...]:
         """Label of the entry of every number of y; one for both of a direction."""
-        labels, forms = self.entry_labels, self.forms
+        pairs = zip(*(c[self.y_entry].tolist() for c in self.table[:2]), strict=True)
         return tuple(
-            labels[entry].removesuffix(".x")
-            if forms[entry] == "direction"
-            else labels[entry]
-            for entry in self.y_entry
+            label.removesuffix(".x") if form == "direction" else label
+            for label, form in pairs
         )
 
     @functools.cached_property
     def logarithmic(self) -> np.ndarray:
         """True for numbers of y that are logarithms."""
-        return self.forms[self.y_entry] == "logarithm"
+        return self.table.form[self.y_entry] == "logarithm"
 
     @functools.cached_property
     def shapes(self) -> np.ndarray:
@@ -249,15 +211,9 @@ class Unknowns(eqx.Module):
         return EXPOSURE in self.names
 
     @functools.cached_property
-    def entry_per_image(self) -> np.ndarray:
-        """True for entries that belong to a single image."""
-        per_image = [parameter.per_image for parameter in self.parameters]
-        return np.repeat(per_image, [parameter.size for parameter in self.parameters])
-
-    @functools.cached_property
     def differs_between_images(self) -> bool:
         """Whether there are entries that belong to a single image."""
-        return any(parameter.per_image for parameter in self.parameters)
+        return bool(self.table.per_image.any())
 
     @functools.cached_property
     def moves_geometry(self) -> bool:
@@ -273,12 +229,12 @@ class Unknowns(eqx.Module):
     @functools.cached_property
     def direction_indices(self) -> np.ndarray:
         """Indices in y of the first of each direction's two numbers."""
-        return np.flatnonzero(self.forms[self.y_entry] == "direction")[::2]
+        return np.flatnonzero(self.table.form[self.y_entry] == "direction")[::2]
 
     def entries(self, y: Float[Array, " n"]) -> Float[Array, " entries"]:
         """All entries in the user's units."""
         numbers = jnp.where(self._free, y[np.array(self.y_index)], 0)
-        logarithm = self.forms == "logarithm"
+        logarithm = self.table.form == "logarithm"
         # Only logarithms are exponentiated, since other entries could overflow.
         powers = jnp.exp(jnp.where(logarithm, numbers, 0))
         own = jnp.where(logarithm, powers, self.scale * numbers)
@@ -294,7 +250,7 @@ class Unknowns(eqx.Module):
     @functools.cached_property
     def direction_entries(self) -> np.ndarray:
         """Indices of the first entry of each direction."""
-        return np.flatnonzero(self.forms == "direction")[::3]
+        return np.flatnonzero(self.table.form == "direction")[::3]
 
     def aimed(
         self,
@@ -310,7 +266,7 @@ class Unknowns(eqx.Module):
         scaled = own / np.asarray(self.scale, float)[self.y_entry]
         logarithm = np.log(np.where(self.logarithmic, np.maximum(own, 1e-30), 1))
         y = np.where(self.logarithmic, logarithm, scaled)
-        direction = self.forms[self.y_entry] == "direction"
+        direction = self.table.form[self.y_entry] == "direction"
         y = np.where(direction, np.asarray(self.start, float), y)
         y = np.clip(y, np.asarray(self.lower), np.asarray(self.upper))
         return y.astype(self.lower.dtype)

@@ -206,11 +206,7 @@ def _sides(
 
 def _spread(pixels: np.ndarray, reach: int) -> np.ndarray:
     """Pixels with one of these no further than `reach` rows and columns away."""
-    for axis in (0, 1):
-        rows = np.moveaxis(pixels, axis, 0)
-        wide = rows.copy()
-        for step in range(1, reach + 1):
-            wide[step:] |= rows[:-step]
-            wide[:-step] |= rows[step:]
-        pixels = np.moveaxis(wide, 0, axis)
-    return pixels
+    # Imported here, since SciPy takes long to import and few fits need it.
+    from scipy.ndimage import maximum_filter
+
+    return maximum_filter(pixels, 2 * reach + 1, mode="constant")

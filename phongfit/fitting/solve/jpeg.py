@@ -20,7 +20,7 @@ round alike in all of them.
 
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -54,19 +54,6 @@ Drawn = Float[np.ndarray, "draws 3 rows columns"]
 """Sums over tiles of simulated residuals; the sum of their squares is a variance."""
 
 
-class Restored(NamedTuple):
-    """A fit of photographs that are corrected for JPEG compression.
-
-    - `solution`: the fit's solution and problem.
-    - `sources`: the corrected photographs, with rounding steps that match the errors.
-    - `drawn`: sums over tiles of the right model's residuals: see [`find_misfit`][].
-    """
-
-    solution: SearchResult
-    sources: list[Source]
-    drawn: list[Drawn]
-
-
 def restore(
     found: SearchResult,
     sources: list[Source],
@@ -74,7 +61,7 @@ def restore(
     noise_given: bool,
     max_steps: int,
     side: int,
-) -> Restored:
+) -> tuple[SearchResult, list[Source], list[Drawn]]:
     """Fit photographs again, corrected for JPEG compression.
 
     **Arguments:**
@@ -82,35 +69,33 @@ def restore(
     - `found`: a fit of the images as they are.
     - `sources`, `films`: all images, also those that are not JPEG.
     - `side`: pixels along the side of a tile.
+
+    **Returns:** the solution, the corrected photographs with rounding steps that match
+    the errors, and sums over tiles of the right model's residuals: see
+    [`find_misfit`][].
     """
     first, problem, y, steps = found.problem, found.problem, found.y, found.steps
     plates = _plates(first, sources, films)
-    step, sigma = np.asarray(first.samples.step), float(first.sigma)
     for _ in range(2):
         stage = _Stage(first, problem, y, plates)
-        sigma = sigma if noise_given else stage.noise()
-        errors = np.array(list(stage.errors(sigma, range(FEW))))
-        step = stage.wider_steps(errors, sigma)
-        problem = _restored(first, errors.mean(axis=0), step, sigma)
+        problem = stage.corrected(float(first.sigma) if noise_given else stage.noise())
         solution = solve(problem, y, max_steps)
         y, steps = solution.y, steps + solution.steps
-    draws = _Stage(first, problem, y, plates).draw(side)
-    problem = _restored(first, draws.lost, step, sigma)
+    draws, step = _Stage(first, problem, y, plates).draw(side), problem.samples.step
+    problem = _restored(first, draws.lost, step, problem.sigma)
     solution = solve(problem, y, max_steps)
     restored = [
         dataclasses.replace(
             source,
             image=source.image - jnp.asarray(plate.picture(draws.lost)),
-            step=plate.picture(step),
+            step=plate.picture(np.asarray(step)),
         )
         for source, plate in zip(sources, plates, strict=True)
     ]
-    scatter = jnp.asarray(draws.scatter, y.dtype)
-    problem = dataclasses.replace(problem, scatter=scatter)
-    found = SearchResult(
-        problem, solution.y, solution.converged, steps + solution.steps
-    )
-    return Restored(found, restored, draws.tiles)
+    problem = dataclasses.replace(problem, scatter=draws.scatter)
+    steps = steps + solution.steps
+    found = SearchResult(problem, solution.y, solution.converged, steps)
+    return found, restored, draws.tiles
 
 
 def foresee(
@@ -123,21 +108,17 @@ def foresee(
 
     **Arguments:** `y`: the truth.
     """
-    plates, sigma = _plates(problem, sources, films), 1.0
-    stage = _Stage(problem, problem, y, plates)
-    errors = np.array(list(stage.errors(sigma, range(FEW))))
-    step = stage.wider_steps(errors, sigma)
-    there = _restored(problem, errors.mean(axis=0), step, sigma)
+    plates = _plates(problem, sources, films)
+    there = _Stage(problem, problem, y, plates).corrected(1.0)
     draws = _Stage(problem, there, y, plates).draw(8)
-    scatter = jnp.asarray(draws.scatter, y.dtype)
-    return dataclasses.replace(there, scatter=scatter)
+    return dataclasses.replace(there, scatter=draws.scatter)
 
 
 def _restored(
     first: Problem,
     lost: Float[np.ndarray, "3 samples"],
-    step: Float[np.ndarray, "3 samples"],
-    sigma: float,
+    step: Any,
+    sigma: Any,
 ) -> Problem:
     """The problem with corrected targets, and other rounding steps and noise."""
     kind = first.samples.target.dtype
@@ -245,12 +226,11 @@ def _surroundings(
 def _blurred(image: np.ndarray) -> np.ndarray:
     """Means over a triangular window."""
     # Imported here, since SciPy takes long to import and few fits need it.
-    from scipy.ndimage import convolve1d
+    from scipy.ndimage import uniform_filter
 
-    window = (AROUND + 1 - abs(np.arange(-AROUND, AROUND + 1))) / (AROUND + 1) ** 2
-    for axis in (0, 1):
-        image = convolve1d(image, window, axis, mode="constant")
-    return image
+    size = (AROUND + 1, AROUND + 1, 1)
+    once = uniform_filter(image, size, mode="constant")
+    return uniform_filter(once, size, mode="constant")
 
 
 def _in_blocks(
@@ -272,7 +252,7 @@ class _Draws(NamedTuple):
     """
 
     lost: Float[np.ndarray, "3 samples"]
-    scatter: Float[np.ndarray, "n n"]
+    scatter: Float[Array, "n n"]
     tiles: list[Drawn]
 
 
@@ -287,7 +267,7 @@ class _Stage:
         plates: list[_Plate],
     ):
         light, found = _look(problem, y)
-        self.problem, self.y, self.plates = problem, y, plates
+        self.first, self.problem, self.y, self.plates = first, problem, y, plates
         self.light, self.jacobian, at = np.asarray(light), found.jacobian, found.at
         self.given_back = np.asarray(first.samples.target - problem.samples.target)
         self.step = np.asarray(first.samples.step)
@@ -375,7 +355,13 @@ class _Stage:
                 errors[:, plate.columns] = shown - predicted[:, plate.columns]
             yield np.where(self.used, errors, 0)
 
-    def wider_steps(
+    def corrected(self, sigma: float) -> Problem:
+        """The problem, corrected by a few draws with this noise."""
+        errors = np.array(list(self.errors(sigma, range(FEW))))
+        step = self._wider_steps(errors, sigma)
+        return _restored(self.first, errors.mean(axis=0), step, sigma)
+
+    def _wider_steps(
         self, errors: Float[np.ndarray, "draws 3 samples"], sigma: float
     ) -> Float[np.ndarray, "3 samples"]:
         """Rounding steps that match such errors, block by block: largest at edges."""
@@ -401,12 +387,13 @@ class _Stage:
             scaled = errors / self.deviation
             scores.append(self._pull(self.bend * scaled))
             left = self._left(scaled)
-            tiles.append([_in_tiles(p.picture(left), side) for p in self.plates])
+            tiles.append([_in_blocks(p.picture(left), side, side) for p in self.plates])
         root = np.sqrt(np.diag(self.gram))
         every = np.concatenate([_apart(scores), self._doubts(total / MANY)])
         rows = every / np.where(root > 0, root, 1)
-        each = [_rows(one) for one in zip(*tiles, strict=True)]
-        return _Draws(total / MANY, rows.T @ rows, each)
+        each = [np.moveaxis(_rows(one), -1, 1) for one in zip(*tiles, strict=True)]
+        scatter = jnp.asarray(rows.T @ rows, self.y.dtype)
+        return _Draws(total / MANY, scatter, each)
 
     def _doubts(self, lost: Float[np.ndarray, "3 samples"]) -> Float[np.ndarray, "3 n"]:
         """Scores of the correction itself, which counts as an uncertainty.
@@ -433,12 +420,6 @@ def _apart(draws: Sequence[np.ndarray]) -> Float[np.ndarray, "draws ..."]:
 def _rows(draws: Sequence[np.ndarray]) -> Float[np.ndarray, "draws ..."]:
     """The vectors of [`_apart`][], and the mean as an uncertainty of itself."""
     return np.concatenate([_apart(draws), np.mean(draws, axis=0, keepdims=True)])
-
-
-def _in_tiles(
-    picture: Float[np.ndarray, "height width 3"], side: int
-) -> Float[np.ndarray, "3 rows columns"]:
-    return np.moveaxis(_in_blocks(picture, side, side), -1, 0)
 
 
 def _all_over(
@@ -495,23 +476,14 @@ def _another(
 
 def _root(function: Callable[[float], float], scale: float) -> float:
     """Root of an increasing function of a variance; 0 if it is not negative at 0."""
-    low, high = 0.0, scale
-    below, above = function(low), function(high)
-    if below >= 0:
+    # Imported here, since SciPy takes long to import and few fits need it.
+    from scipy.optimize import brentq
+
+    if function(0.0) >= 0:
         return 0.0
-    for _ in range(GROWN):
-        if above > 0:
-            break
-        low, below, high = high, above, 4 * high
-        above = function(high)
-    if above <= 0:
-        return high
-    for _ in range(3):
-        # The function is nearly linear, so a few secant steps suffice.
-        middle = low - below * (high - low) / (above - below)
-        there = function(middle)
-        if there < 0:
-            low, below = middle, there
-        else:
-            high, above = middle, there
-    return low - below * (high - low) / (above - below)
+    high = scale
+    while function(high) <= 0:
+        high *= 4
+        if high >= scale * 4**GROWN:
+            return high
+    return float(brentq(function, 0.0, high, xtol=0.002 * high, rtol=0.01))

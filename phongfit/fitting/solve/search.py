@@ -152,9 +152,7 @@ def _first_look(
     """The state after the search on few samples."""
     if problem.loss.robust:
         return _best_valley(problem, y, noise_given, min(max_steps, 50))
-    if several:
-        return _look(problem, y, noise_given)
-    return _begin(problem, y, noise_given)
+    return _look(problem, y if several else scan(problem, y), noise_given)
 
 
 def _best_end(ends: list[SearchResult]) -> SearchResult:
@@ -231,7 +229,7 @@ def _best_of_several(
 
 def _n_sought_directions(unknowns: Unknowns) -> int:
     """Number of unknown directions that may be anywhere; nuisances come after them."""
-    nuisance = unknowns.entry_nuisance[unknowns.direction_entries]
+    nuisance = unknowns.table.nuisance[unknowns.direction_entries]
     return int(np.count_nonzero(~nuisance))
 
 
@@ -287,9 +285,9 @@ def _valleys(unknowns: Unknowns, ends: _Ends) -> list[int]:
     Reflectances and intensities are not compared: light is linear in them, so they do
     not cause further minima.
     """
-    strength = np.array([scales_light(name) for name in unknowns.entry_parameter])
-    strength |= unknowns.entry_nuisance
-    logarithm = unknowns.forms == "logarithm"
+    strength = np.array([scales_light(name) for name in unknowns.table.parameter])
+    strength |= unknowns.table.nuisance
+    logarithm = unknowns.table.form == "logarithm"
     scaled = ends.entries / np.asarray(unknowns.scale)
     scaled = np.where(logarithm, np.log(np.where(logarithm, ends.entries, 1)), scaled)
     scaled = scaled[:, ~strength]
@@ -345,7 +343,7 @@ def spread_starts(unknowns: Unknowns, count: int, guesses: Guesses) -> Starts:
     near = [moves_geometry(kind) for kind in unknowns.y_parameter]
     starts = np.where(near, first + 0.1 * (moved - first), starts)
     stays = np.isin(unknowns.y_parameter, MATERIAL_PARAMETERS)
-    stays |= unknowns.forms[unknowns.y_entry] == "direction"
+    stays |= unknowns.table.form[unknowns.y_entry] == "direction"
     stays |= unknowns.y_nuisance
     starts = np.where(stays, first, starts)
     starts[0] = first
@@ -374,12 +372,6 @@ def _guessed(unknowns: Unknowns, guesses: Guesses) -> tuple[np.ndarray, np.ndarr
             base[:, directions.index(entry)] = places
     y = [unknowns.position(one) for one in entries]
     return np.reshape(y, (count, len(unknowns.start))), base
-
-
-@program("noise_given")
-def _begin(problem: Problem, y: Float[Array, " n"], noise_given: bool) -> _SearchState:
-    """The end of the scan, and the noise level there."""
-    return _look(problem, scan(problem, y), noise_given)
 
 
 @program("noise_given")

@@ -151,7 +151,6 @@ def make_solver(
         atol=tolerance,
         lower=problem.unknowns.lower,
         upper=problem.unknowns.upper,
-        foresee=True,
     )
 
 
@@ -189,10 +188,4 @@ def solve(
     done, state = solution.result == optx.RESULTS.successful, solution.state
     cost = 2 * _unit(problem) ** 2 * state.f_info.as_min()
     steps, converged = solution.stats["num_steps"], done & jnp.isfinite(cost)
-    # The end of the last step may not have been evaluated: the linear model is used.
-    change = state.f_info.jac.mv(solution.value - state.descent_state.y)
-    saved = jnp.sum(change**2) / jnp.maximum(jnp.sum(state.f_info.residual**2), 1e-30)
-    last = state.aux
-    squares = last.squares * jnp.maximum(1 - saved, 0)
-    residual_sums = ResidualSums(squares, last.share, last.floor)
-    return Solution(solution.value, cost, residual_sums, steps, converged)
+    return Solution(solution.value, cost, solution.aux, steps, converged)

@@ -21,10 +21,9 @@ from phongfit.moved import warn_deprecated
 
 
 class _State(eqx.Module):
-    """The last two accepted points, and factors of the Jacobian at the last one."""
+    """The last accepted point, and a factor of the Jacobian there."""
 
     y: PyTree[Array]
-    before: PyTree[Array]
     triangle: Float[Array, "rows columns"]
     scale: Float[Array, " n"]
 
@@ -52,14 +51,14 @@ class BoxDampedNewtonDescent(optx.AbstractDescent):
         flat, _ = ravel_pytree(y)
         rows = sum(leaf.size for leaf in jax.tree.leaves(f_info_struct.residual))
         shape = (min(rows, flat.size + 1), flat.size + 1)
-        return _State(y, y, jnp.zeros(shape, flat.dtype), jnp.zeros_like(flat))
+        return _State(y, jnp.zeros(shape, flat.dtype), jnp.zeros_like(flat))
 
     def query(self, y: PyTree[Array], f_info: Any, state: _State) -> _State:
         residual, _ = ravel_pytree(f_info.residual)
         both = jnp.column_stack([f_info.jac.as_matrix(), residual])
         triangle = jnp.linalg.qr(both, mode="r")
         norms = jnp.linalg.norm(triangle[:, :-1], axis=0)
-        return _State(y, state.y, triangle, jnp.maximum(state.scale, norms))
+        return _State(y, triangle, jnp.maximum(state.scale, norms))
 
     def step(
         self, step_size: Scalar, state: _State
@@ -237,8 +236,8 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
 
     Units of the unknowns do not matter, and zero or parallel columns are allowed. It
     works under `jit` and `vmap`; under `vmap` all problems take as long as the slowest.
-    On the problems of Moré, Garbow and Hillstrom, free and in boxes, it ends no higher
-    than SciPy's `least_squares`.
+    On a dozen problems of Moré, Garbow and Hillstrom, free and in boxes, it ends no
+    higher than SciPy's `least_squares`.
 
     !!! example
         ```python
@@ -264,7 +263,6 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
     descent: Any
     search: Any
     verbose: Callable[..., None]
-    foresee: bool
 
     def __init__(
         self,
@@ -274,7 +272,7 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
         upper: PyTree[Array],
         norm: Callable[[PyTree], Scalar] = optx.max_norm,
         damping: float = 1e-3,
-        foresee: bool = False,
+        foresee: bool | None = None,
         pace: Float[Array, "2"] | None = None,
     ):
         """**Arguments:**
@@ -285,91 +283,17 @@ class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):
             The starting point must lie between them.
         - `norm`: norm of these changes.
         - `damping`: fraction of the curvature that is added at first.
-        - `foresee`: whether to end with a step after which, by the rate at which steps
-            shrink, all further steps would be below tolerance. Its end is not
-            evaluated, which saves an evaluation.
-        - `pace`: has no effect; it goes with version 0.4.
+        - `foresee`, `pace`: have no effect; they go with version 0.4.
         """
-        if pace is not None:
-            warn_deprecated("pace: it has no effect, and goes in version 0.4")
+        for name, given in (("foresee", foresee), ("pace", pace)):
+            if given is not None:
+                warn_deprecated(f"{name}: it has no effect, and goes in version 0.4")
         self.rtol = rtol
         self.atol = atol
         self.norm = norm
         self.descent = BoxDampedNewtonDescent(lower, upper, damping)
         self.search = RoundingTolerantTrustRegion()
         self.verbose = _silent
-        self.foresee = foresee
-
-    def terminate(
-        self,
-        fn: Any,
-        y: PyTree[Array],
-        args: PyTree,
-        options: dict[str, Any],
-        state: Any,
-        tags: frozenset[object],
-    ) -> tuple[Bool[Array, ""], optx.RESULTS]:
-        """Whether to end; with `foresee` also if the next step is the last."""
-        del fn, y, args, options, tags
-        ends = state.terminate
-        return ends | self._is_last(state) if self.foresee else ends, state.result
-
-    def postprocess(
-        self,
-        fn: Any,
-        y: PyTree[Array],
-        aux: Any,
-        args: PyTree,
-        options: dict[str, Any],
-        state: Any,
-        tags: frozenset[object],
-        result: optx.RESULTS,
-    ) -> tuple[PyTree[Array], Any, dict[str, Any]]:
-        """Take the last step without an evaluation at its end."""
-        del fn, args, options, tags, result
-        if not self.foresee:
-            return y, aux, {}
-        last = self._is_last(state) & ~state.terminate
-        y = jax.tree.map(lambda end, y: jnp.where(last, end, y), state.y_eval, y)
-        return y, aux, {}
-
-    def _is_last(self, state: Any) -> Bool[Array, ""]:
-        r"""Whether all steps after the next one would be below tolerance.
-
-        If steps shrink by a factor $\theta$, those after the next one sum up to $\theta
-        / (1 - \theta)$ of it. This holds only near the solution, and for undamped
-        steps.
-
-        ??? cite "Source"
-            Hairer and Wanner, *Solving Ordinary Differential Equations II*, 1996,
-            section IV.8.
-        """
-        previous, size, change = self._steps(state)
-        theta = size / jnp.where(previous > 0, previous, 1)
-        near = (previous > 0) & (theta < 0.1) & ~state.first_step
-        undamped = state.search_state.step_size >= 1
-        beyond = theta / (1 - theta) * jnp.maximum(size, change)
-        accepted = state.num_steps_since_acceptance == 0
-        return near & undamped & accepted & (beyond < 1)
-
-    def _steps(self, state: Any) -> tuple[Scalar, Scalar, Scalar]:
-        """Sizes of the last step, of the next one, and of its change of the residuals.
-
-        They are in units of the tolerances.
-        """
-        y, before = state.descent_state.y, state.descent_state.before
-        step = jax.tree.map(jnp.subtract, state.y_eval, y)
-        change = state.f_info.jac.mv(step)
-        previous = self._size(jax.tree.map(jnp.subtract, y, before), y)
-        return previous, self._size(step, y), self._size(change, state.f_info.residual)
-
-    def _size(self, change: PyTree[Array], of: PyTree[Array]) -> Scalar:
-        """A change in units of the tolerances."""
-
-        def share(change: Array, of: Array) -> Array:
-            return jnp.abs(change) / (self.atol + self.rtol * jnp.abs(of))
-
-        return self.norm(jax.tree.map(share, change, of))
 
 
 def _silent(**report: Any) -> None:

@@ -76,17 +76,8 @@ def _few(
         return seen
     even = seen[np.linspace(0, len(seen) - 1, count - near).astype(int)]
     bright = _nearness(view) if bright is None else bright
-    return np.concatenate([even, seen[_largest(bright[seen], near)]])
-
-
-def _largest(values: np.ndarray, count: int) -> np.ndarray:
-    """Indices of the largest numbers; a threshold from a subset preselects them."""
-    few = values[::16]
-    rank = min(count // 8 + 1, len(few))
-    places = np.flatnonzero(values >= np.partition(few, -rank)[-rank])
-    if len(places) < count:
-        places = np.arange(len(values))
-    return places[np.argpartition(values[places], -count)[-count:]]
+    brightest = np.argpartition(bright[seen], -near)[-near:]
+    return np.concatenate([even, seen[brightest]])
 
 
 def _nearness(view: PixelTerms) -> np.ndarray:
@@ -253,11 +244,11 @@ def _selection(unknowns: Unknowns) -> tuple[Array, Array]:
     The columns are those of `REFLECTANCES`.
     """
     indices, numbers = [], []
-    for entry, name in enumerate(unknowns.entry_parameter):
+    for entry, name in enumerate(unknowns.table.parameter):
         if name in REFLECTANCES:
-            column = unknowns.entry_channel[entry]
+            column = unknowns.table.channel[entry]
             for channel in range(3) if column < 0 else [column]:
-                where = (unknowns.entry_row[entry], channel, REFLECTANCES.index(name))
+                where = (unknowns.table.row[entry], channel, REFLECTANCES.index(name))
                 indices.append((*where, unknowns.y_index[unknowns.source[entry]]))
                 numbers.append(entry)
     wanted = np.array([name in unknowns.names for name in REFLECTANCES])

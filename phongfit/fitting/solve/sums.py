@@ -54,12 +54,12 @@ def moved_samples(unknowns: Unknowns) -> np.ndarray:
     images = unknowns.images if unknowns.differs_between_images else 1
     size = unknowns.lower.size
     cells = np.zeros((size, unknowns.materials, images, 3), bool)
-    names, rows = unknowns.entry_parameter, unknowns.entry_row
-    per_image = unknowns.entry_per_image
+    names, rows = unknowns.table.parameter, unknowns.table.row
+    per_image = unknowns.table.per_image
     for entry, source in enumerate(unknowns.source):
         if unknowns.fixed[entry]:
             continue
-        channel = unknowns.entry_channel[entry]
+        channel = unknowns.table.channel[entry]
         channels = slice(None) if channel < 0 else slice(channel, channel + 1)
         material = slice(None)
         if names[entry] in MATERIAL_PARAMETERS and unknowns.materials > 1:
@@ -68,7 +68,7 @@ def moved_samples(unknowns: Unknowns) -> np.ndarray:
         if per_image[entry]:
             image = slice(rows[entry], rows[entry] + 1)
         index = unknowns.y_index[source]
-        count = 2 if unknowns.forms[source] == "direction" else 1
+        count = 2 if unknowns.table.form[source] == "direction" else 1
         cells[index : index + count, material, image, channels] = True
     return cells.reshape(size, -1, 3)
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from phongfit.codes import coded
 from phongfit.fitting.problem.losses import Linear
@@ -19,16 +19,20 @@ from phongfit.fitting.uncertainty.identifiability import (
     not_identifiable,
     stands_out,
 )
-from phongfit.fitting.uncertainty.misfit import Misfit, find_misfit
+from phongfit.fitting.uncertainty.misfit import find_misfit
 from phongfit.fitting.uncertainty.quantiles import chi_squared_reach
-from phongfit.fitting.uncertainty.tiles import (
-    Measured,
-    Tiles,
-    sum_over_tiles,
-)
+from phongfit.fitting.uncertainty.sandwich import unit_diagonal
+from phongfit.fitting.uncertainty.tiles import Measured, Tiles, sum_over_tiles
 from phongfit.fitting.uncertainty.warnings import misfit_words, spread_words
 from phongfit.material import Material
-from phongfit.programs import program
+
+
+class Counts(NamedTuple):
+    """Degrees of freedom, number of samples, and whether the noise was given."""
+
+    freedom: float
+    samples: int
+    noise_given: bool
 
 
 def judge(
@@ -47,7 +51,8 @@ def judge(
         zip(system.alone, system.eliminated, strict=True)
     ):
         shared = job.of_system(s)
-        part = np.where(identified, covariance, 0)[np.ix_(shared, shared)]
+        both = np.outer(identified, identified)
+        part = np.where(both, covariance, 0)[np.ix_(shared, shared)]
         more = np.einsum("ti,ij,tj->t", moved, part, moved, optimize=False)
         variances.append(alone + more)
     freedom = system.freedom
@@ -59,7 +64,8 @@ def judge(
         images.append(one)
     side = max(tile_side(*one.residual.shape[:2]) for one in images)
     misfit = find_misfit([one.tiles for one in images], side)
-    spread, total = 1.0, sum(one.samples for one in images)
+    samples = sum(one.samples for one in images)
+    counts, spread = Counts(freedom, samples, noise_given), 1.0
     if noise_given:
         over = system.left.squares / freedom
         spread = float(np.sqrt(over)) if over > 1 + 5 * np.sqrt(2 / freedom) else 1.0
@@ -71,9 +77,9 @@ def judge(
     if "shininess" in job.names:
         values["shininess"] = np.exp(values["shininess"])
         stderr["shininess"] *= values["shininess"]
-    few_errors = np.sqrt(np.where(np.diag(identified), np.diag(covariance), np.inf))
-    few_errors = few_errors * np.sqrt(inflation)
-    unseen = _unseen(job, state, covariance * inflation, values, stderr)
+    covariance = covariance * inflation
+    few_errors = np.sqrt(np.where(identified, np.diag(covariance), np.inf))
+    unseen = _unseen(job, state, covariance, values, stderr)
     few_errors[unseen] = np.inf
     if "shininess" in job.names:
         stderr["shininess"][_exponents_unseen(job, unseen, values, stderr)] = np.inf
@@ -86,6 +92,9 @@ def judge(
         # The covariance of an exponent is that of its logarithm.
         error = few_errors[k] * (value if one.name == "shininess" else 1)
         shared.append(Shared(_label(job, one), value, float(error)))
+    hidden = [one.label for one, none in zip(shared, unseen, strict=True) if none]
+    lost = [one.label for one in shared if not np.isfinite(one.stderr)]
+    lost = [label for label in lost if label not in hidden]
     return TextureFit(
         values,
         stderr,
@@ -95,7 +104,7 @@ def judge(
             shininess=numbers["shininess"][:, None],
         ),
         tuple(shared),
-        covariance * inflation,
+        covariance,
         job.names,
         sigma if not noise_given else 1.0,
         system.left.counted,
@@ -103,39 +112,24 @@ def judge(
         misfit,
         converged,
         steps,
-        tuple(
-            _warnings(
-                job,
-                misfit,
-                spread,
-                converged,
-                [
-                    one.label
-                    for one, hidden in zip(shared, unseen, strict=True)
-                    if hidden
-                ],
-                shared,
-                freedom,
-                total,
-                noise_given,
-            )
+        (
+            *_warnings(job, converged, hidden, lost, counts),
+            *spread_words(spread),
+            *misfit_words(misfit, len(images)),
         ),
         job.grid,
     )
 
 
 def _few_covariance(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Inverse of `information`, and which pairs of shared numbers are identified."""
-    diagonal = np.diag(information)
-    there = diagonal > 0
-    scale = np.sqrt(np.where(there, diagonal, 1))
-    scaled = information / np.outer(scale, scale)
-    values, vectors = np.linalg.eigh(np.where(np.outer(there, there), scaled, 0))
+    """Inverse of `information`, and which shared numbers are identified."""
+    there = np.diag(information) > 0
+    scaled, root = unit_diagonal(np.where(np.outer(there, there), information, 0))
+    values, vectors = np.linalg.eigh(scaled)
     vague = values < LEAST
-    lost = (vectors[:, vague] ** 2).sum(axis=1) > 0.01
     inverse = (vectors / np.where(vague, np.inf, values)) @ vectors.T
-    identified = ~lost & there
-    return inverse / np.outer(scale, scale), np.outer(identified, identified)
+    identified = (vectors[:, vague] ** 2).sum(axis=1) <= 0.01
+    return inverse / np.outer(root, root), identified
 
 
 def _unseen(
@@ -251,7 +245,8 @@ def _image(
     measured = Measured(
         jnp.asarray(image), jnp.asarray(weight), step, jnp.asarray(sigma, light.dtype)
     )
-    tiles = _tiles(measured, light, diffuse, highlight, job.clamp, side)
+    shapes = light, diffuse, highlight
+    tiles = sum_over_tiles(measured, *shapes, Linear(), job.clamp, side)
     fitted = np.clip(light, 0, 1) if job.clamp else light
     # Each pixel counts by the texel's weight in it.
     looks = (lit.weight > 0).any(axis=1).astype(float)
@@ -260,70 +255,41 @@ def _image(
     return _ImageFit(residual, tiles, int(np.count_nonzero(lit.weight))), seen
 
 
-@program("clamp", "side")
-def _tiles(
-    measured: Measured,
-    light: Array,
-    diffuse: Array,
-    highlight: Array,
-    clamp: bool,
-    side: int,
-) -> Tiles:
-    return sum_over_tiles(measured, light, diffuse, highlight, Linear(), clamp, side)
-
-
 def _warnings(
-    job: Job,
-    misfit: Misfit,
-    spread: float,
-    converged: bool,
-    unseen: list[str],
-    shared: list[Shared],
-    freedom: float,
-    total: int,
-    noise_given: bool,
+    job: Job, converged: bool, unseen: list[str], lost: list[str], counts: Counts
 ) -> list[str]:
-    words = []
-    if not converged:
-        words.append(
-            coded(
-                "not-converged",
-                "did not converge",
-                "Raise max_steps, or ask for fewer unknowns",
-            )
-        )
-    if unseen:
-        words.append(
-            coded(
-                "no-highlight",
-                f"{not_identifiable(unseen)}: no highlight stands out",
-            )
-        )
-    lost = [one.label for one in shared if not np.isfinite(one.stderr)]
-    lost = [label for label in lost if label not in unseen]
-    if lost:
-        words.append(
-            coded(
-                "not-identifiable",
-                f"{', '.join(lost)}: not identifiable from these photographs",
-                "Give it as known, or photographs under other lamps",
-            )
-        )
-    if not noise_given and freedom < 0.1 * total:
-        words.append(
-            coded(
-                "noise-level",
-                f"{total:,} samples leave {freedom:,.0f} to estimate the noise from",
-                "Give noise, or a smaller size",
-            )
-        )
-    if job.lossy:
-        words.append(
-            coded(
-                "jpeg-texels",
-                "rounding errors of JPEG files are correlated in blocks of pixels, "
-                "which errors of texels do not include: they may be too small",
-            )
-        )
-    words += spread_words(spread)
-    return [*words, *misfit_words(misfit, len(job.images.given))]
+    """Warnings of a fit, without those of its residuals.
+
+    **Arguments:** `unseen`, `lost`: labels of shared numbers without a highlight, and
+    of others that are not identified.
+    """
+    found = {
+        "not-converged": (
+            not converged,
+            "did not converge",
+            "Raise max_steps, or ask for fewer unknowns",
+        ),
+        "no-highlight": (
+            unseen,
+            f"{not_identifiable(unseen)}: no highlight stands out",
+            None,
+        ),
+        "not-identifiable": (
+            lost,
+            f"{', '.join(lost)}: not identifiable from these photographs",
+            "Give it as known, or photographs under other lamps",
+        ),
+        "noise-level": (
+            not counts.noise_given and counts.freedom < 0.1 * counts.samples,
+            f"{counts.samples:,} samples leave {counts.freedom:,.0f} to estimate the "
+            "noise from",
+            "Give noise, or a smaller size",
+        ),
+        "jpeg-texels": (
+            job.lossy,
+            "rounding errors of JPEG files are correlated in blocks of pixels, which "
+            "errors of texels do not include: they may be too small",
+            None,
+        ),
+    }
+    return [coded(code, *words) for code, (due, *words) in found.items() if due]

@@ -11,7 +11,13 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from phongfit.fitting.problem.inputs import Observation
-from phongfit.fitting.problem.noise import clipped_moments, end_steps, rounding_steps
+from phongfit.fitting.problem.noise import (
+    Moments,
+    clipped_moments,
+    end_steps,
+    rounding_steps,
+    unclipped_moments,
+)
 from phongfit.fitting.texels.sums import AbstractTexels, Touched
 from phongfit.geometry.meshes import Mesh
 from phongfit.programs import program
@@ -188,25 +194,18 @@ def _basis(pixels: PixelTerms, exponents: Array) -> tuple[Array, Array, Array]:
     return light, slope[2], pixels.fog_light()
 
 
-class FilmResponse(NamedTuple):
-    """Expected value that the film records, and its derivative by light."""
-
-    mean: Float[np.ndarray, "n 3"]
-    slope: Float[np.ndarray, "n 3"]
-
-
 def film_response(
     light: np.ndarray,
     deviation: np.ndarray,
     clamp: bool,
     ends: tuple[float, float] = (0.0, 0.0),
-) -> FilmResponse:
+) -> Moments:
     """The film's response to light with noise of standard deviation `deviation`."""
     if not clamp:
-        return FilmResponse(light, np.ones_like(light))
+        return unclipped_moments(light)
     deviation = before_rounding(light, deviation, ends)
-    mean, slope = _clipped(jnp.asarray(light), jnp.asarray(deviation))
-    return FilmResponse(np.asarray(mean, float), np.asarray(slope, float))
+    found = _clipped(jnp.asarray(light), jnp.asarray(deviation))
+    return jax.tree.map(lambda part: np.asarray(part, float), found)
 
 
 def before_rounding(
@@ -226,7 +225,4 @@ def before_rounding(
     return np.sqrt(np.maximum(deviation**2 - step**2 / 6, LEFT * deviation**2))
 
 
-@program()
-def _clipped(light: Array, deviation: Array) -> tuple[Array, Array]:
-    moments = clipped_moments(light, deviation)
-    return moments.mean, moments.slope
+_clipped = program()(clipped_moments)

@@ -7,11 +7,10 @@ if photographs determine texels poorly.
 
 import dataclasses
 import math
-from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.scipy.sparse.linalg import cg
 from jaxtyping import Array, Bool, Float
 
 from phongfit.fitting.texels.solve import STEPS, AbstractSystem
@@ -103,31 +102,7 @@ def _descend(
     def apply(x: Array) -> Array:
         return by * _product(images, by * x, pairs)
 
-    def goes_on(now: _Descent) -> Array:
-        return (now.square > least) & (now.steps < STEPS)
-
-    def go(now: _Descent) -> _Descent:
-        onward = apply(now.way)
-        far = now.square / jnp.vdot(now.way, onward)
-        left = now.left - far * onward
-        square = jnp.vdot(left, left)
-        way = left + square / now.square * now.way
-        return _Descent(now.found + far * now.way, left, way, square, now.steps + 1)
-
-    square = jnp.vdot(right, right)
-    least = tolerance**2 * square
-    start = _Descent(jnp.zeros_like(right), right, right, square, jnp.asarray(0))
-    return jax.lax.while_loop(goes_on, go, start).found
-
-
-class _Descent(NamedTuple):
-    """State of conjugate gradients: solution, residual, its square, and direction."""
-
-    found: Array
-    left: Array
-    way: Array
-    square: Array
-    steps: Array
+    return cg(apply, right, tol=tolerance, maxiter=STEPS)[0]
 
 
 def _product(images: tuple[Array, ...], x: Array, pairs: Pairs) -> Array:

@@ -172,10 +172,9 @@ def make_system(job: Job, state: State, sigma: float) -> System:
         else:
             alone.append(alone[-1])
             taken.append(taken[-1])
-        mixed, own = sums.mixed[s], free[s]
-        solved = matrix.solve(mixed, TOLERANCE, own)
+        solved = matrix.solve(sums.mixed[s], TOLERANCE, free[s])
         shared = job.of_system(s)
-        information[np.ix_(shared, shared)] -= _products(mixed, solved, own)
+        information[np.ix_(shared, shared)] -= _products(sums.mixed[s], solved)
         eliminated.append(solved.astype(job.dtype, copy=False))
         del matrix
     information = (information + information.T) / 2
@@ -183,13 +182,9 @@ def make_system(job: Job, state: State, sigma: float) -> System:
     return System(sums.left, alone, eliminated, information, freedom)
 
 
-def _products(mixed: np.ndarray, solved: np.ndarray, free: np.ndarray) -> np.ndarray:
-    r"""$m^T s$ summed over the free texels, for each pair of columns."""
-    each = [
-        [float(np.sum(m * s, where=free, dtype=float)) for s in solved.T]
-        for m in mixed.T
-    ]
-    return np.array(each).reshape(mixed.shape[1], solved.shape[1])
+def _products(one: np.ndarray, solved: np.ndarray) -> np.ndarray:
+    """Sums of products over texels; `solved` is 0 for texels that are not free."""
+    return np.einsum("t...,tj->...j", one, solved, dtype=float)
 
 
 class Stepped(NamedTuple):
@@ -223,11 +218,10 @@ def step(
     moves, eliminated = [], []
     for s, matrix, _ in _matrices(job, sums, damping):
         moves.append(matrix.solve(right[s][:, None], TOLERANCE, free[s])[:, 0])
-        mixed = sums.mixed[s]
-        solved = matrix.solve(mixed, TOLERANCE, free[s])
+        solved = matrix.solve(sums.mixed[s], TOLERANCE, free[s])
         shared = job.of_system(s)
-        information[np.ix_(shared, shared)] -= _products(mixed, solved, free[s])
-        few_right[shared] -= _products(solved, right[s][:, None], free[s])[:, 0]
+        information[np.ix_(shared, shared)] -= _products(sums.mixed[s], solved)
+        few_right[shared] -= _products(right[s], solved)
         eliminated.append(solved.astype(job.dtype, copy=False))
         del matrix
     information = (information + information.T) / 2

@@ -96,7 +96,7 @@ def estimates(
     region = Region(
         values,
         slope,
-        unknowns.forms[unknowns.reported] == "logarithm",
+        unknowns.table.form[unknowns.reported] == "logarithm",
         unknowns.bounds,
         np.zeros(len(values), bool),
         make,
@@ -107,7 +107,9 @@ def estimates(
         errors = np.max(np.abs(ends - values[:, None]), axis=1)
         wide = np.all(ends == unknowns.bounds, axis=1) & np.isfinite(errors)
         unidentified |= touched[wide].any(axis=0)
-    directions = np.isin(unknowns.forms[unknowns.y_entry], ("direction", "rotation"))
+    directions = np.isin(
+        unknowns.table.form[unknowns.y_entry], ("direction", "rotation")
+    )
     unidentified |= directions & (found.stderr > np.pi / 2)
     reasons += _reasons(unknowns, unidentified & ~found.unidentified, unseen)
 

@@ -112,17 +112,12 @@ def _listed(labels: np.ndarray | Sequence[str]) -> str:
 
 def linked_groups(linked: np.ndarray, members: np.ndarray) -> list[np.ndarray]:
     """Connected groups among the members of a symmetric relation."""
-    left = set(np.flatnonzero(members).tolist())
-    groups = []
-    while left:
-        group, frontier = set(), {min(left)}
-        while frontier:
-            group |= frontier
-            near = {int(j) for i in frontier for j in np.flatnonzero(linked[i])}
-            frontier = (near & left) - group
-        left -= group
-        groups.append(np.array(sorted(group)))
-    return groups
+    # Imported here, since SciPy takes long to import and few fits need it.
+    from scipy.sparse.csgraph import connected_components
+
+    own = np.flatnonzero(members)
+    count, group = connected_components(linked[np.ix_(own, own)], directed=False)
+    return [own[group == k] for k in range(count)]
 
 
 def doubtful_exponents(

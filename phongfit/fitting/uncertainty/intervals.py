@@ -1,15 +1,17 @@
 r"""Profile intervals of a quadratic cost in a box.
 
-Near a solution the cost is a quadratic in a box. Its profile along one number (the
-minimum over all others in the box) is convex and consists of parabolas. They are
-followed outwards, from one change of the active bounds to the next, until
-$\Delta\chi^2$ reaches the level. So the interval of a number that is correlated with
-one at its bound is wide on the side to which the bound leaves room.
+Near a solution the cost is a quadratic in a box. The end of an interval is the point
+farthest along a vector $a$ at which $\Delta\chi^2$ is not above a level. It lies on the
+path of the points that minimise $\Delta\chi^2 - 2 \lambda\, a \cdot p$ in the box, for
+$\lambda$ from 0 on. The path is straight between changes of the active bounds, and is
+followed from one change to the next. So the interval of a number that is correlated
+with one at its bound is wide on the side to which the bound leaves room.
 
 ??? cite "Source"
     Self and Liang, *Asymptotic properties of maximum likelihood estimators and
     likelihood ratio tests under nonstandard conditions*, J. Am. Stat. Assoc. 82, 1987.
-    Nocedal and Wright, *Numerical optimization*, 2nd ed., chapter 16: active sets.
+    Markowitz, *The optimization of a quadratic function subject to linear constraints*,
+    Naval Research Logistics Quarterly 3, 1956: the path.
 """
 
 import dataclasses
@@ -25,6 +27,7 @@ WIDTHS = 30.0
 # Precision of undetermined directions without a box, relative to that of each number
 # alone.
 SHARE = 1e-15
+SIDES = np.array([-1.0, 1.0])
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -51,7 +54,8 @@ class Quadratic:
     @functools.cached_property
     def least(self) -> float:
         """Minimum of Δχ² in the box."""
-        return self.rise + self._bottom.depth
+        bottom = self._bottom
+        return self.rise + float((2 * self.slope + self.precision @ bottom) @ bottom)
 
     def ends(
         self, along: Float[np.ndarray, "k n"], level: float
@@ -64,258 +68,124 @@ class Quadratic:
         """
         if self.least > level:
             return np.full((len(along), 2), np.nan)
-        return self._ends(along, level) + (along @ self.center)[:, None]
+        vectors = np.repeat(along, 2, axis=0) * np.tile(SIDES, len(along))[:, None]
+        points = self._without_box(vectors, level)
+        outside = ~np.all((self.lower <= points) & (points <= self.upper), axis=1)
+        for k in np.flatnonzero(outside):
+            points[k] = self._walk(
+                self._bottom, self.slope, vectors[k], level - self.least
+            )
+        ends = np.sum(np.repeat(along, 2, axis=0) * points, axis=1).reshape(-1, 2)
+        return ends + (along @ self.center)[:, None]
 
-    def _ends(self, along: Float[np.ndarray, "k n"], level: float) -> np.ndarray:
-        budget = level - self.rise
-        center = -self._covariance @ self.slope
-        room = budget - self.slope @ center
-        spread = np.sqrt(np.einsum("ki,ij,kj->k", along, self._covariance, along))
-        open_ends = (along @ center)[:, None] + np.sqrt(room) * spread[:, None] * SIDES
-        near = self._near(budget)
-        if not near.any():
-            return open_ends
-        reduced = self._reduced(near)
-        start = self._bottom.point[near]
-        functionals = reduced.functionals(along)
-        both = np.repeat(functionals, 2, axis=0)
-        signs = np.tile(SIDES, len(along))
-        walked = reduced.walk(
-            np.append(start, 0), both, signs, budget - self._bottom.depth
-        )
-        reached = walked.reached.reshape(-1, 2)
-        ended = walked.ended.reshape(-1, 2)
-        return np.where(ended, reached, open_ends)
-
-    @functools.cached_property
-    def _covariance(self) -> Float[np.ndarray, "n n"]:
+    def _without_box(
+        self, along: Float[np.ndarray, "m n"], level: float
+    ) -> Float[np.ndarray, "m n"]:
+        """The farthest points along vectors if there were no box."""
         root = np.sqrt(np.diag(self.precision))
-        return np.linalg.inv(self.precision / np.outer(root, root)) / np.outer(
-            root, root
-        )
-
-    def _near(self, budget: float) -> Bool[np.ndarray, " n"]:
-        """Numbers that may meet their bounds before the level is reached."""
-        center = -self._covariance @ self.slope
-        room = budget - self.slope @ center
-        far = np.sqrt(np.maximum(room, 0) * np.diag(self._covariance))
-        near = (center - far < self.lower) | (center + far > self.upper)
-        return near | (self.slope != 0)
-
-    def _reduced(self, near: Bool[np.ndarray, " n"]) -> "_Reduced":
-        """The quadratic minimised over the numbers that meet no bound."""
-        far = ~near
-        coupling = self.precision[np.ix_(far, near)]
-        inverse = np.zeros((0, 0))
-        if far.any():
-            block = self.precision[np.ix_(far, far)]
-            root = np.sqrt(np.diag(block))
-            inverse = np.linalg.inv(block / np.outer(root, root)) / np.outer(root, root)
-        follow = -inverse @ coupling
-        size = int(np.count_nonzero(near))
-        precision = np.eye(size + 1)
-        precision[:size, :size] = self.precision[np.ix_(near, near)]
-        precision[:size, :size] += coupling.T @ follow
-        open_end = [np.inf]
-        return _Reduced(
-            precision,
-            np.append(self.slope[near], 0),
-            np.append(self.lower[near], [-np.inf]),
-            np.append(self.upper[near], open_end),
-            near,
-            follow,
-            inverse,
-        )
+        covariance = np.linalg.inv(self.precision / np.outer(root, root))
+        covariance /= np.outer(root, root)
+        center = -covariance @ self.slope
+        room = max(level - self.rise - self.slope @ center, 0.0)
+        moves = along @ covariance
+        spread = np.sqrt(np.maximum(np.sum(moves * along, axis=1), 1e-300))
+        return center + np.sqrt(room) * moves / spread[:, None]
 
     @functools.cached_property
-    def _bottom(self) -> "_Bottom":
+    def _bottom(self) -> Float[np.ndarray, " n"]:
         """The minimum in the box: the point itself unless a free number has a slope."""
         inside = (self.lower < 0) & (self.upper > 0)
-        steep = np.flatnonzero(inside & (self.slope != 0))
-        point, depth = np.zeros_like(self.slope), 0.0
-        if not len(steep):
-            return _Bottom(point, depth)
-        everything = np.ones(len(point), bool)
-        reduced = self._reduced(everything)
-        at = np.append(point, 0)
-        for place in steep:
-            along = np.eye(len(at))[[place]]
-            sign = -np.sign((reduced.precision @ at + reduced.slope)[[place]])
-            walked = reduced.walk(at, along, sign, None)
-            at, depth = walked.points[0], depth + float(walked.risen[0])
-        return _Bottom(at[:-1], depth)
+        steep = np.where(inside, self.slope, 0)
+        point = np.zeros_like(steep)
+        return (
+            self._walk(point, self.slope - steep, -steep, None) if any(steep) else point
+        )
 
-
-SIDES = np.array([-1.0, 1.0])
-
-
-class _Bottom(NamedTuple):
-    point: Float[np.ndarray, " n"]
-    depth: float
-
-
-class _Walked(NamedTuple):
-    """Ends of walks, the values of $a \\cdot p$ there, and increases of the cost."""
-
-    points: Float[np.ndarray, "walks m"]
-    reached: Float[np.ndarray, " walks"]
-    risen: Float[np.ndarray, " walks"]
-    ended: Bool[np.ndarray, " walks"]
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Reduced:
-    """The quadratic in the numbers that may meet bounds, and in one more number.
-
-    The last number stands for all others along the vector: it has variance 1 and no
-    bounds.
-    """
-
-    precision: Float[np.ndarray, "m m"]
-    slope: Float[np.ndarray, " m"]
-    lower: Float[np.ndarray, " m"]
-    upper: Float[np.ndarray, " m"]
-    near: Bool[np.ndarray, " n"]
-    follow: Float[np.ndarray, "far near"]
-    rest: Float[np.ndarray, "far far"]
-
-    def functionals(self, along: Float[np.ndarray, "k n"]) -> np.ndarray:
-        """The vectors in the reduced numbers, (k, m)."""
-        beyond = along[:, ~self.near]
-        variance = np.einsum("ki,ij,kj->k", beyond, self.rest, beyond)
-        own = along[:, self.near] + beyond @ self.follow
-        return np.column_stack([own, np.sqrt(np.maximum(variance, 0))])
-
-    def walk(
+    def _walk(
         self,
-        start: Float[np.ndarray, " m"],
-        along: Float[np.ndarray, "walks m"],
-        signs: Float[np.ndarray, " walks"],
+        point: Float[np.ndarray, " n"],
+        slope: Float[np.ndarray, " n"],
+        along: Float[np.ndarray, " n"],
         budget: float | None,
-    ) -> _Walked:
-        """Follow the profile outwards, with all walks in lock step.
+    ) -> Float[np.ndarray, " n"]:
+        r"""Follow the path from $\lambda = 0$ outwards.
 
         **Arguments:**
 
-        - `start`: the minimum, or for a single walk the minimum at its position.
-        - `signs`: direction of each walk.
-        - `budget`: largest increase of the cost; `None` to walk down to the minimum.
+        - `point`: the minimum for the slope $g$ that is given.
+        - `budget`: increase of the cost at the path's end; `None` to end at $\lambda =
+            1$.
         """
-        count, size = along.shape
-        points = np.tile(start, (count, 1))
-        held = (points <= self.lower) | (points >= self.upper)
-        risen, ended = np.zeros(count), np.zeros(count, bool)
-        for _ in range(4 * size + 8):
-            step = self._step(points, held, along, signs)
-            held, stuck = step.held, step.stuck
-            ended |= stuck
-            limit = step.until(risen, budget)
-            event = np.minimum(step.room.min(axis=1), step.release.min(axis=1))
-            ended_here = ~ended & ~step.waits & (limit <= event)
-            go = ~ended & ~step.waits
-            length = np.where(go, np.minimum(limit, event), 0)
-            points = points + length[:, None] * step.direction
-            risen = risen + length * (2 * step.steepness + length * step.curvature)
-            ended |= ended_here
-            going = go & ~ended_here
-            hit = going[:, None] & (step.room <= event[:, None])
-            edge = np.where(step.direction > 0, self.upper, self.lower)
-            points = np.where(hit, edge, points)
-            free = going[:, None] & ~hit.any(axis=1)[:, None]
-            held = (held | hit) & ~(free & (step.release <= event[:, None]))
-            if ended.all():
+        held, factor = (point <= self.lower) | (point >= self.upper), 0.0
+        for _ in range(4 * len(point) + 8):
+            piece = self._piece(point, slope - factor * along, along, held)
+            if budget is None:
+                limit = 1 - factor
+            elif piece.bend > 0:
+                # The cost rises by bend · ((λ + length)² − λ²).
+                more = budget / piece.bend
+                limit = more / (factor + np.sqrt(factor**2 + more)) if more > 0 else 0.0
+            else:
+                limit = np.inf
+            event = min(piece.room.min(), piece.release.min())
+            length = min(limit, event)
+            if np.isinf(length):
                 break
-        return _Walked(points, np.sum(along * points, axis=1), risen, ended)
+            point = point + length * piece.direction
+            if limit <= event:
+                break
+            if budget is not None:
+                budget -= piece.bend * length * (2 * factor + length)
+            factor += length
+            hit = piece.room <= event
+            edge = np.where(piece.direction > 0, self.upper, self.lower)
+            point = np.where(hit, edge, point)
+            held = held | hit if hit.any() else held & ~(piece.release <= event)
+        return np.clip(point, self.lower, self.upper)
 
-    def _step(
+    def _piece(
         self,
-        points: Float[np.ndarray, "walks m"],
-        held: Bool[np.ndarray, "walks m"],
-        along: Float[np.ndarray, "walks m"],
-        signs: Float[np.ndarray, " walks"],
-    ) -> "_Step":
-        """The next step of each walk, up to a change of the active bounds."""
-        free = ~held
-        both = free[:, :, None] & free[:, None, :]
-        root = np.sqrt(np.diag(self.precision))
-        scaled = self.precision / np.outer(root, root)
-        matrix = np.where(both, scaled, np.eye(len(root)))
-        pull = np.where(free, along, 0)
-        answer = np.linalg.solve(matrix, (pull / root)[..., None])[..., 0] / root
-        answer = np.where(free, answer, 0)
-        reach = np.sum(pull * answer, axis=1)
-        moves = reach > 0
-        inwards = np.where(points <= self.lower, signs[:, None], -signs[:, None])
-        # The followed number itself may lie at its bound, and leave it.
-        leaves = held & ~moves[:, None] & (inwards * along > 0)
-        leaves &= (self.lower < self.upper)[None]
-        waits = leaves.any(axis=1)
-        safe = np.where(moves, reach, 1)
-        direction = np.where(
-            moves[:, None], signs[:, None] * answer / safe[:, None], 0.0
+        point: Float[np.ndarray, " n"],
+        slope: Float[np.ndarray, " n"],
+        along: Float[np.ndarray, " n"],
+        held: Bool[np.ndarray, " n"],
+    ) -> "_Piece":
+        """The straight piece of a path from a point on."""
+        free, direction = np.flatnonzero(~held), np.zeros_like(point)
+        if len(free):
+            block = self.precision[np.ix_(free, free)]
+            root = np.sqrt(np.diag(block))
+            scaled = block / np.outer(root, root)
+            direction[free] = np.linalg.solve(scaled, along[free] / root) / root
+        force, falls = (
+            self.precision @ point + slope,
+            self.precision @ direction - along,
         )
-        slope = points @ self.precision + self.slope
-        steepness = np.sum(slope * direction, axis=1)
-        curvature = np.where(moves, 1 / safe, 0)
-
+        lower = point <= self.lower
+        held = held & (self.lower < self.upper)
         # Numbers that hardly move never reach their bounds.
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             edge = np.where(direction > 0, self.upper, self.lower)
-            room = (edge - points) / direction
-            room = np.where(free & (direction != 0), np.maximum(room, 0), np.inf)
-            # The multiplier of a number at its bound, and its rate of decrease.
-            force = slope - (signs * steepness)[:, None] * along
-            falls = direction @ self.precision - (signs * curvature)[:, None] * along
-            side = np.where(points <= self.lower, 1.0, -1.0)
-            force, falls = side * force, side * falls
-            falling = held & (falls < 0) & (self.lower < self.upper)[None]
-            release = np.where(falling, np.maximum(-force / falls, 0), np.inf)
-        return _Step(
-            held & ~leaves,
-            ~moves & ~waits,
-            waits,
+            room = np.maximum((edge - point) / direction, 0)
+            release = np.maximum(-force / falls, 0)
+        return _Piece(
             direction,
-            steepness,
-            curvature,
-            room,
-            release,
+            float(along @ direction),
+            np.where(direction != 0, room, np.inf),
+            np.where(held & (np.where(lower, falls, -falls) < 0), release, np.inf),
         )
 
 
-class _Step(NamedTuple):
-    """A straight piece of each walk.
+class _Piece(NamedTuple):
+    """A straight piece of a path; lengths are changes of λ.
 
-    - `held`: numbers that stay at a bound.
-    - `stuck`: walks that cannot go on.
-    - `waits`: walks on which a number leaves its bound before they go on.
-    - `direction`: change of all numbers per unit of distance.
-    - `steepness`, `curvature`: half the cost's slope along the direction, and half its
-        second derivative.
-    - `room`: distance at which each number reaches a bound.
-    - `release`: distance at which each held number leaves its bound.
+    - `direction`: change of the point per unit of λ.
+    - `bend`: half the second derivative of the cost in λ.
+    - `room`: length at which each number reaches a bound.
+    - `release`: length at which each held number leaves its bound.
     """
 
-    held: Bool[np.ndarray, "walks m"]
-    stuck: Bool[np.ndarray, " walks"]
-    waits: Bool[np.ndarray, " walks"]
-    direction: Float[np.ndarray, "walks m"]
-    steepness: Float[np.ndarray, " walks"]
-    curvature: Float[np.ndarray, " walks"]
-    room: Float[np.ndarray, "walks m"]
-    release: Float[np.ndarray, "walks m"]
-
-    def until(self, risen: np.ndarray, budget: float | None) -> np.ndarray:
-        """Distance at which the rise becomes `budget`, or to the minimum if it is None.
-
-        **Arguments:** `risen`: rise so far.
-        """
-        curvature = np.where(self.curvature > 0, self.curvature, 1)
-        if budget is None:
-            return np.maximum(-self.steepness / curvature, 0)
-        left = np.maximum(budget - risen, 0)
-        root = np.sqrt(self.steepness**2 + left * curvature)
-        # steepness·2d + curvature·d² = left, solved without cancellation.
-        whole = self.steepness + root
-        with np.errstate(divide="ignore", invalid="ignore"):
-            far = np.where(whole > 0, left / whole, 0)
-        return np.where(self.steepness < 0, (root - self.steepness) / curvature, far)
+    direction: Float[np.ndarray, " n"]
+    bend: float
+    room: Float[np.ndarray, " n"]
+    release: Float[np.ndarray, " n"]

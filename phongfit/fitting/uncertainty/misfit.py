@@ -205,10 +205,7 @@ def _look(
             asked.append((_joined(levels[size]), "blocks", size))
     if not asked:
         return _Seen(_Verdict(0.0, 1.0), "blocks", 1.0, side, levels[side])
-    verdicts = _judge(*(cells for cells, _, _ in asked))
-    found = [
-        (v, along, size) for v, (_, along, size) in zip(verdicts, asked, strict=True)
-    ]
+    found = [(_judge(cells), along, size) for cells, along, size in asked]
     worst, along, _ = max(found, key=lambda one: one[0].significance)
     in_blocks = [one for one in found if one[1] == "blocks"]
     shown = (
@@ -433,27 +430,18 @@ def _equal_angle(light: np.ndarray) -> np.ndarray:
     return np.clip(-2 * np.log(share), 0, BINS - 1).astype(int)
 
 
-def _judge(*parts: _Cells) -> list[_Verdict]:
-    """Verdicts for each kind of cells, channel by channel and for all together."""
-    cells = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
-    starts = np.cumsum([0, *(part.shape[-1] for part in parts[:-1])])
+def _judge(cells: _Cells) -> _Verdict:
+    """Verdict for one kind of cells: the worse of the channels and all together."""
     total, squares, variance, common = cells
     judged = variance >= LEAST_SAMPLES
     variance = np.where(judged, variance, 1)
     square = np.where(judged, total**2 / (variance + common), 0)
     # Noise that is larger in some cells than in others makes T² vary more.
     local = np.where(judged, np.maximum(squares / variance, 1), 0)
-    # Computed together, since there are many kinds of few cells.
-    sums = np.add.reduceat(np.stack([judged, square, local**2]), starts, axis=-1)
-    highest = np.maximum.reduceat(square / np.maximum(local, 1), starts, axis=-1)
-    rows = np.concatenate([sums, highest[None]]).T.tolist()
-    return [_worst_of(channels) for channels in rows]
-
-
-def _worst_of(channels: list[list[float]]) -> _Verdict:
-    count, sums, freedoms, alone = zip(*channels[:3], strict=True)
-    apart = _judge_sums(sum(count), sum(sums), sum(freedoms), max(alone))
-    return max(apart, _judge_sums(*channels[3]))
+    sums = np.stack([judged, square, local**2]).sum(axis=-1)
+    highest = (square / np.maximum(local, 1)).max(axis=-1)
+    apart = _judge_sums(*sums[:, :3].sum(axis=1), highest[:3].max())
+    return max(apart, _judge_sums(*sums[:, 3], highest[3]))
 
 
 def _judge_sums(count: float, square: float, local: float, highest: float) -> _Verdict:

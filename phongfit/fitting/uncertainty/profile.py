@@ -12,7 +12,6 @@ from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.unknowns import Unknowns
 from phongfit.fitting.solve.search import SearchResult
 from phongfit.fitting.solve.solution import solve
-from phongfit.fitting.solve.sums import linearize
 from phongfit.fitting.uncertainty.numbers import number_with_error
 from phongfit.fitting.uncertainty.quantiles import fisher_quantile, student_reach
 from phongfit.fitting.uncertainty.statistics import quadratic_about, statistics
@@ -177,23 +176,12 @@ class _Held:
         along = np.eye(len(self.lower))[self.indices]
         self.errors = np.zeros(len(self.lower))
         self.errors[self.indices] = np.abs(about.ends(along, 1.0)).max(axis=1)
-        ratios = [
-            self._spread(index) / at_best.stderr[index]
-            for index in self.indices
-            if np.isfinite(at_best.stderr[index])
-        ]
         # The profile is scaled, since the covariance differs from the inverse
         # curvature.
-        self.scale = float(np.mean(ratios)) ** 2 if ratios else 1.0
+        ratios = (at_best.spread / at_best.stderr)[self.indices]
+        ratios = ratios[np.isfinite(ratios)]
+        self.scale = float(np.mean(ratios)) ** 2 if len(ratios) else 1.0
         self.least = total_cost(self.problem, self.best)
-
-    def _spread(self, index: int) -> float:
-        """Standard error of an unknown from the curvature of the cost alone."""
-        y = np.asarray(self.best)
-        free = (y > self.lower) & (y < self.upper)
-        curvature = np.asarray(_curvature(self.problem, self.best), float)
-        inverse = np.linalg.pinv(curvature[np.ix_(free, free)], hermitian=True)
-        return float(np.sqrt(inverse.diagonal()[np.count_nonzero(free[:index])]))
 
     def rise(
         self, at: dict[int, float], start: Float[Array, " n"]
@@ -267,13 +255,6 @@ def total_cost(problem: Problem, y: Float[Array, " n"]) -> float:
     """The cost, added up in double precision: profiles are small differences of it."""
     samples, priors = _costs(problem, y)
     return float(np.sum(np.asarray(samples, float)) + np.sum(np.asarray(priors, float)))
-
-
-@program()
-def _curvature(problem: Problem, y: Float[Array, " n"]) -> Float[Array, "n n"]:
-    found = linearize(problem, y)
-    known = found.jacobian.priors.T @ found.jacobian.priors
-    return found.jacobian.gram(problem.loss.score(found.at.residual)[1]) + known
 
 
 @program()

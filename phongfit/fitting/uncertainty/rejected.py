@@ -130,8 +130,8 @@ def without_rejected(
     """Estimates in which parameters of rejected highlights are not identified."""
     if not rejected.any():
         return estimated
-    parameters, rows = unknowns.entry_parameter, unknowns.entry_row
-    columns = unknowns.entry_channel
+    parameters, rows = unknowns.table.parameter, unknowns.table.row
+    columns = unknowns.table.channel
     rows = np.where(np.isin(parameters, ("specular", "shininess")), rows, 0)
     here = np.where(
         columns < 0, rejected[rows].any(axis=1), rejected[rows, columns] > 0

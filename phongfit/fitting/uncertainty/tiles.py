@@ -16,6 +16,7 @@ from phongfit.fitting.problem.noise import (
     unclipped_moments,
 )
 from phongfit.fitting.uncertainty.grid import Grid, sum_at_places
+from phongfit.programs import program
 
 
 class Measured(NamedTuple):
@@ -76,6 +77,7 @@ class Tiles(NamedTuple):
     grid: Grid
 
 
+@program("clamp", "side")
 def sum_over_tiles(
     measured: Measured,
     light: Float[Array, "height width 3"],

@@ -159,7 +159,7 @@ def bound_words(estimated: Estimates, unknowns: Unknowns) -> Iterator[str]:
             code = "bound-decides"
             words += f". Without it the estimate would be {estimated.strain[k]:.2g} σ "
             words += "beyond it, so estimates that depend on it are biased"
-        parameter = unknowns.entry_parameter[unknowns.reported[k]]
+        parameter = unknowns.table.parameter[unknowns.reported[k]]
         # Reflectances cannot be negative.
         if above or parameter not in REFLECTANCES:
             low, high = (low, 5 * high) if above else (low / 5, high)
@@ -197,7 +197,7 @@ def prior_words(
 ) -> Iterator[str]:
     """Warnings of priors that the images contradict."""
     for k, entry in enumerate(unknowns.reported):
-        if not unknowns.has_prior[entry] or unknowns.forms[entry] == "direction":
+        if not unknowns.has_prior[entry] or unknowns.table.form[entry] == "direction":
             continue
         mean, deviation = (
             float(each[entry])

@@ -31,7 +31,7 @@ _entries = jax.jit(Unknowns.entries)
 def entries(unknowns: Unknowns, *y: float) -> dict[str, float]:
     """Every entry by its label, at a y."""
     found = np.asarray(_entries(unknowns, floats(y)), float)
-    return dict(zip(unknowns.entry_labels, found.tolist(), strict=True))
+    return dict(zip(unknowns.table.label, found.tolist(), strict=True))
 
 
 def test_a_tie_has_a_factor_and_its_error_too():

@@ -193,6 +193,7 @@ def test_start_on_a_bound_and_fixed_unknowns():
     near(solution.value[0], best, 1e4 * eps())
 
 
-def test_an_argument_that_has_gone_is_named():
-    with pytest.warns(DeprecationWarning, match="pace"):
-        BoundedLevenbergMarquardt(1e-5, 1e-5, 0, 1, pace=floats([2000.0, 1.0]))
+@pytest.mark.parametrize("gone", [{"pace": np.ones(2)}, {"foresee": True}])
+def test_an_argument_that_has_gone_is_named(gone):
+    with pytest.warns(DeprecationWarning, match=next(iter(gone))):
+        BoundedLevenbergMarquardt(1e-5, 1e-5, 0, 1, **gone)

@@ -79,6 +79,9 @@ def test_where_the_level_is_nowhere_kept():
     one = Quadratic(np.eye(2), np.zeros(2), -np.ones(2), np.ones(2), 5.0, np.zeros(2))
     assert np.isnan(one.ends(np.eye(2), LEVEL)).all()
     near(one.ends(np.eye(2), 5.25), [[-0.5, 0.5]] * 2, 1e-12)
+    none = np.zeros(0)
+    empty = Quadratic(np.zeros((0, 0)), none, none, none, 0.0, none)
+    assert empty.ends(np.zeros((0, 0)), LEVEL).shape == (0, 2)
 
 
 def test_a_bound_makes_the_other_one_sided():
