@@ -24,7 +24,6 @@ from phongfit.files.capture_data import (
     calibration_of,
     find_lamps,
     list_of,
-    one_photograph,
 )
 from phongfit.files.captures import Capture, open_capture
 from phongfit.files.encodings import parse_encoding
@@ -291,12 +290,10 @@ def _capture(options: Options) -> Capture | None:
     if not path.exists():
         raise ValueError(f"{path}: there is no such file or folder")
     encoding = parse_encoding(options.encoding)
-    if path.is_dir():
-        return open_capture(
-            path, encoding, lights=list_of(options.lights), white=options.white
-        )
-    refuse(options, "mask", "is of a folder; give it to `phongfit fit` instead")
-    return one_photograph(path, encoding, white=options.white)
+    if not path.is_dir():
+        refuse(options, "mask", "is of a folder; give it to `phongfit fit` instead")
+    listed = list_of(options.lights) if path.is_dir() else None
+    return open_capture(path, encoding, lights=listed, white=options.white)
 
 
 def _seen(

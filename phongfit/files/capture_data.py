@@ -11,13 +11,11 @@ from jaxtyping import Bool, Float
 from phongfit.calibration.result import Calibration, Lamp
 from phongfit.edge import checked
 from phongfit.files.calibrations import LIGHTS_FILE, load_calibration
-from phongfit.files.captures import Capture, encoding_of, open_capture
+from phongfit.files.captures import Capture, open_capture
 from phongfit.files.dataset import Photograph, Photographs
 from phongfit.files.images import read_film, read_mask
-from phongfit.files.inputs import naming
-from phongfit.files.lp import LightList, read_camera_lp
+from phongfit.files.lp import LightList
 from phongfit.files.matching import base_name, match_names
-from phongfit.files.photographs import open_photographs
 from phongfit.files.seen import SOUGHT, seen_in
 from phongfit.lights import AbstractLight, DirectionalLight, PointLight, brighter
 from phongfit.rendering.film import Encoding, Film
@@ -80,10 +78,7 @@ def open_captured(
     **Raises:** `ValueError` that names the file or the argument.
     """
     path = Path(photographs)
-    if path.is_dir():
-        capture = open_capture(path, encoding, lights=list_of(lights), white=white)
-    else:
-        capture = one_photograph(path, encoding, lights=list_of(lights), white=white)
+    capture = open_capture(path, encoding, lights=list_of(lights), white=white)
     source = calibration_of(path, lights)
     told: tuple[str, ...] = ()
     if source is not None:
@@ -144,32 +139,6 @@ def open_captured(
         notes=(*series.notes, *told),
         uncertain=_uncertain(capture, source),
     )
-
-
-def one_photograph(
-    path: Path,
-    encoding: Encoding | None,
-    *,
-    lights: Path | None = None,
-    white: int | None = None,
-) -> Capture:
-    """A single photograph as a capture of one.
-
-    **Arguments:**
-
-    - `lights`: an .lp file that lists the photograph's lamp, among others.
-    - `white`: as in [`read_image`][].
-
-    **Raises:** `ValueError` that names the file, if the list lacks the photograph.
-    """
-    encoding = encoding_of(path.parent, [path.name], encoding)
-    listed = None
-    if lights is not None:
-        every = read_camera_lp(lights)
-        with naming(str(lights)):
-            listed = every.only([path.name])
-    series = open_photographs([path], encoding, white=white)
-    return Capture(series, lights=listed)
 
 
 def list_of(lights: str | os.PathLike[str] | None) -> Path | None:

@@ -14,6 +14,7 @@ from phongfit.edge import checked
 from phongfit.files.coded import Coded
 from phongfit.files.dataset import Photograph
 from phongfit.files.images import read_film
+from phongfit.files.inputs import naming
 from phongfit.files.lp import LightList, read_camera_lp
 from phongfit.files.matching import match_names
 from phongfit.files.photographs import (
@@ -147,39 +148,48 @@ def open_capture(
     flat: str | os.PathLike[str] | None = None,
     white: int | None = None,
 ) -> Capture:
-    """A capture from a folder of photographs.
+    """A capture from a folder of photographs, or of a single photograph.
 
-    The photographs are those that an `.lp` file in the folder lists, in its order; else
-    all images in order of the numbers in their names, except those named mask, ambient,
-    dark, flat, ref or normals. If exposures differ, the photographs and `ambient` are
-    scaled to a common exposure: see [`open_photographs`][]; `notes` then mentions it.
+    The photographs of a folder are those that an `.lp` file in it lists, in its order;
+    else all images in order of the numbers in their names, except those named mask,
+    ambient, dark, flat, ref or normals. If exposures differ, the photographs and
+    `ambient` are scaled to a common exposure: see [`open_photographs`][]; `notes` then
+    mentions it.
 
     **Arguments:**
 
+    - `folder`: of photographs; or the file of a single one.
     - `encoding`: of the files' numbers. Default: sRGB for JPEG files, as cameras write
         them, and linear for floating-point formats; it is needed for all others.
-    - `lights`: the `.lp` file; default the one in the folder.
+    - `lights`: the `.lp` file; default the one in the folder. For one photograph it
+        lists the lamp by the photograph's name, perhaps among others.
     - `ambient`: a photograph without a lamp, subtracted from each.
     - `flat`: a photograph of a white card in the object's place; divides each.
     - `white`: the number that is white in all of them: see [`read_image`][].
 
     **Raises:** `ValueError` that names the folder, the file or the argument.
     """
-    folder = Path(folder)
-    beside = {Path(p).resolve() for p in (ambient, flat) if p is not None}
-    images = [path.name for path in images_in(folder) if path.resolve() not in beside]
-    images.sort(key=_by_number)
-    listed = _list_in(folder, lights)
-    note = ""
-    if listed is None:
-        names = [name for name in images if not _is_no_photograph(name)]
+    folder, note = Path(folder), ""
+    if folder.is_file():
+        images = names = [folder.name]
+        listed, folder = None, folder.parent
+        if lights is not None:
+            with naming(str(lights)):
+                listed = read_camera_lp(lights).only(names)
     else:
-        names, note = _matched(folder, images, listed)
-    if len(names) < 2:
-        raise ValueError(
-            f"{folder}: expected several photographs, each under its own lamp, got "
-            + (f"one, {names[0]}" if names else "none")
-        )
+        beside = {Path(p).resolve() for p in (ambient, flat) if p is not None}
+        images = [p.name for p in images_in(folder) if p.resolve() not in beside]
+        images.sort(key=_by_number)
+        listed = _list_in(folder, lights)
+        if listed is None:
+            names = [name for name in images if not _is_no_photograph(name)]
+        else:
+            names, note = _matched(folder, images, listed)
+        if len(names) < 2:
+            raise ValueError(
+                f"{folder}: expected several photographs, each under its own lamp, got "
+                + (f"one, {names[0]}" if names else "none")
+            )
     encoding = encoding_of(folder, names, encoding)
     paths = [folder / name for name in names]
     # Opened together, so that relative exposures include the ambient photograph's.

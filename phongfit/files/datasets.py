@@ -2,7 +2,7 @@
 
 import os
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from phongfit.edge import checked
 from phongfit.files.dataset import Dataset as Dataset, Photographs
@@ -41,17 +41,9 @@ def open_dataset(
 
 
 @checked
-def read_dataset(
-    folder: str | os.PathLike[str],
-    *,
-    min_cosine: float = -1.0,
-    min_facing: float = -1.0,
-    normals: Literal["given", "fit"] = "given",
-) -> Dataset:
+def read_dataset(folder: str | os.PathLike[str], **options: Any) -> Dataset:
     """A data set from its folder, with all images in memory.
 
-    Arguments and errors are those of [`open_dataset`][].
+    Options and errors are those of [`open_dataset`][].
     """
-    return open_dataset(
-        folder, min_cosine=min_cosine, min_facing=min_facing, normals=normals
-    ).load()
+    return open_dataset(folder, **options).load()

@@ -117,18 +117,15 @@ def _read_rows(folder: Path, name: str, count: int) -> Float[np.ndarray, "count 
 def _check_lights(
     folder: Path, directions: np.ndarray, intensities: np.ndarray
 ) -> None:
+    # Quotients and squares of intensities must fit in single precision.
+    sound = (intensities > 1e-12) & (intensities < 1e12)
     for name, fine, wanted in (
         ("light_directions.txt", np.any(directions != 0, axis=1), "a vector but zero"),
-        ("light_intensities.txt", _sound(intensities).all(axis=1), "numbers > 0"),
+        ("light_intensities.txt", sound.all(axis=1), "numbers > 0"),
     ):
         if not fine.all():
             line = int(np.argmin(fine))
             raise ValueError(f"{folder / name}: light {line + 1}: expected {wanted}")
-
-
-def _sound(intensities: np.ndarray) -> np.ndarray:
-    """True for intensities whose quotients and squares fit in single precision."""
-    return (intensities > 1e-12) & (intensities < 1e12)
 
 
 def _read_surface(folder: Path, mask: Bool[np.ndarray, "height width"]) -> NormalMap:

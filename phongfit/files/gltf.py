@@ -35,6 +35,17 @@ from phongfit.material import Material
 from phongfit.plain import plain
 
 FORMAT = "glTF"
+COLOURS = {
+    "COLOR_0": "diffuse",
+    "_AMBIENT": "ambient",
+    "_SPECULAR": "specular",
+    "_EMISSION": "emission",
+    "_SHININESS": "shininess",
+}
+"""Attributes of vertices that multiply a material's parameters, in files that phongfit
+wrote. All except `COLOR_0` are custom attributes, which the format allows."""
+COLOUR_0 = {"COLOR_0": ("diffuse", "ambient")}
+"""The attribute in files of other programs, where it multiplies base colour."""
 F0_OF_WHITE = 0.04
 MAX_EXPONENT = 1e4
 """Largest exponent that is read: a mirror, with roughness 0, gets this one."""

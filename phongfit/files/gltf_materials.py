@@ -24,16 +24,12 @@ from jaxtyping import Float
 from scipy.ndimage import zoom
 
 from phongfit.files.budget import afford
-from phongfit.files.gltf import F0_OF_WHITE, exponents, specular_of
-from phongfit.files.gltf_records import (
+from phongfit.files.gltf import (
     COLOUR_0,
     COLOURS,
-    File,
-    Glossiness,
-    GltfMaterial,
-    GltfSampler,
-    TextureInfo,
-    at,
+    F0_OF_WHITE,
+    exponents,
+    specular_of,
 )
 from phongfit.files.images import read_texels
 from phongfit.files.inputs import naming_field, shortened
@@ -45,6 +41,29 @@ from phongfit.rendering.film import NamedEncoding
 from phongfit.textures import Texture, Textures
 
 NEAREST, REPEAT, CLAMP = 9728, 10497, 33071
+WHITE = (1, 1, 1, 1)
+Record = dict[str, Any]
+"""An object of the file's JSON."""
+
+
+def at(file: Record, items: str, number: Any, what: str) -> Record:
+    """An item of one of the file's lists, by its number.
+
+    **Raises:** `ValueError` that names `what`, the key of the number.
+    """
+    found = file.get(items, [])
+    if not isinstance(number, int) or not 0 <= number < len(found):
+        raise ValueError(f"{what}: expected a number below {len(found)}, got {number}")
+    return found[number]
+
+
+def _share(record: Record, name: str) -> float:
+    """A factor from 0 to 1; 1 if it is not stated."""
+    value = record.get(name, 1)
+    if not 0 <= value <= 1:
+        raise ValueError(f"{name}: expected 0 to 1, got {value}")
+    return float(value)
+
 
 OpenImage = Callable[[int], tuple[bytes, Path]]
 """Function from an image's number to its bytes and its name.
@@ -102,7 +121,7 @@ class Shading:
     **Arguments:** `unused`: filled with the unused parts of materials, as keys.
     """
 
-    def __init__(self, file: File, image: OpenImage, unused: dict[str, None]):
+    def __init__(self, file: Record, image: OpenImage, unused: dict[str, None]):
         self._file = file
         self._image = image
         self._unused = unused
@@ -114,16 +133,16 @@ class Shading:
         self._leaves: dict[str, Any] = {}
         self._textures: dict[str, Texture] = {}
 
-    def read(self, material: GltfMaterial) -> GltfShade:
+    def read(self, material: Record) -> GltfShade:
         """Read one material.
 
         **Raises:** `ValueError` that describes the error.
         """
-        name = material.name
+        name, extensions = material.get("name"), material.get("extensions", {})
         self._name = "a material" if name is None else f"material {name[:60]!r}"
         self._placing, self._leaves, self._textures = None, {}, {}
         own, multiplied = _own(material), COLOUR_0
-        gloss = material.extensions.KHR_materials_pbrSpecularGlossiness
+        gloss = extensions.get("KHR_materials_pbrSpecularGlossiness")
         if own is not None:
             multiplied = {key: (leaf,) for key, leaf in COLOURS.items()}
         if gloss is not None:
@@ -134,15 +153,17 @@ class Shading:
                 f"the mirror image in {self._name}, a metal (its base colour is its "
                 "specular reflectance)"
             ] = None
-        strength = material.extensions.KHR_materials_emissive_strength.emissiveStrength
-        factor = strength * np.array(material.emissiveFactor)
-        info = material.emissiveTexture if factor.any() else None
+        strength = extensions.get("KHR_materials_emissive_strength", {})
+        factor = np.array(material.get("emissiveFactor", [0, 0, 0]), float)
+        factor *= strength.get("emissiveStrength", 1)
+        info = material.get("emissiveTexture") if factor.any() else None
         glow = self._open("emissiveTexture", info, "srgb")
         self._put("emission", glow.part(RGB), factor)
-        if (info := material.normalTexture) is not None:
+        if (info := material.get("normalTexture")) is not None:
             bumps = self._open("normalTexture", info, "linear")
             if bumps.sampled is not None:
-                values = (2 * bumps.values[..., RGB] - 1) * [info.scale, info.scale, 1]
+                scale = info.get("scale", 1)
+                values = (2 * bumps.values[..., RGB] - 1) * [scale, scale, 1]
                 self._hold(values)
                 self._textures["normal"] = Texture(values, **bumps.sampled)
         if own is not None:
@@ -152,50 +173,51 @@ class Shading:
         shaded = Shaded(Material(**self._leaves), Textures(**self._textures))
         return GltfShade(name, shaded, self._placing, multiplied)
 
-    def _metallic(self, material: GltfMaterial, own: Material | None) -> bool:
+    def _metallic(self, material: Record, own: Material | None) -> bool:
         """Read metallic and roughness; true for metals."""
-        pbr = material.pbrMetallicRoughness
-        base = self._open("baseColorTexture", pbr.baseColorTexture, "srgb")
-        rough = self._open(
-            "metallicRoughnessTexture", pbr.metallicRoughnessTexture, "linear"
-        )
-        metallic = pbr.metallicFactor
-        if pbr.metallicRoughnessTexture is not None and rough.sampled is None:
+        pbr = material.get("pbrMetallicRoughness", {})
+        extensions = material.get("extensions", {})
+        base = self._texture(pbr, "baseColorTexture", "srgb")
+        rough = self._texture(pbr, "metallicRoughnessTexture", "linear")
+        metallic = _share(pbr, "metallicFactor")
+        if "metallicRoughnessTexture" in pbr and rough.sampled is None:
             # Without its texture the factor's default, 1, would make it a metal.
             metallic = 0.0
             self._unused[f"metallicFactor of {self._name}, which needs it"] = None
         metal = rough.part(BLUE, metallic)
         is_metal = bool(metal.values.any())
         metal = metal if is_metal else _Map(np.zeros(1))
-        self._coloured(base, pbr.baseColorFactor, metal)
-        given = material.extensions.KHR_materials_specular
-        tint = self._open("specularColorTexture", given.specularColorTexture, "srgb")
-        weight = self._open("specularTexture", given.specularTexture, "linear")
-        ior = material.extensions.KHR_materials_ior.ior
+        factor = pbr.get("baseColorFactor", WHITE)
+        self._coloured(base, factor, metal)
+        given = extensions.get("KHR_materials_specular", {})
+        tint = self._texture(given, "specularColorTexture", "srgb")
+        weight = self._texture(given, "specularTexture", "linear")
+        specular = _share(given, "specularFactor")
+        ior = extensions.get("KHR_materials_ior", {}).get("ior", 1.5)
         f0 = self._mapped(
             lambda tint, weight: tint * weight,
-            tint.part(RGB, given.specularColorFactor),
-            weight.part(ALPHA, given.specularFactor * ((ior - 1) / (ior + 1)) ** 2),
+            tint.part(RGB, given.get("specularColorFactor", WHITE[:3])),
+            weight.part(ALPHA, specular * ((ior - 1) / (ior + 1)) ** 2),
         )
         if is_metal:
             f0 = self._mapped(
                 lambda f0, base, metal: (1 - metal) * f0 + metal * base,
-                *(f0, base.part(RGB, pbr.baseColorFactor[:3]), metal),
+                *(f0, base.part(RGB, factor[:3]), metal),
             )
-        f = self._mapped(exponents, rough.part(GREEN, pbr.roughnessFactor))
+        f = self._mapped(exponents, rough.part(GREEN, _share(pbr, "roughnessFactor")))
         if own is not None and rough.sampled is None:
             f = _Map(np.atleast_1d(np.asarray(own.shininess, float)))
         self._highlight(f0, f)
         return is_metal
 
-    def _glossy(self, gloss: Glossiness) -> None:
-        base = self._open("diffuseTexture", gloss.diffuseTexture, "srgb")
-        self._coloured(base, gloss.diffuseFactor, _Map(np.zeros(1)))
-        info = gloss.specularGlossinessTexture
-        both = self._open("specularGlossinessTexture", info, "srgb")
-        glossiness = both.part(ALPHA, gloss.glossinessFactor)
+    def _glossy(self, gloss: Record) -> None:
+        base = self._texture(gloss, "diffuseTexture", "srgb")
+        self._coloured(base, gloss.get("diffuseFactor", WHITE), _Map(np.zeros(1)))
+        both = self._texture(gloss, "specularGlossinessTexture", "srgb")
+        glossiness = both.part(ALPHA, _share(gloss, "glossinessFactor"))
         f = self._mapped(lambda glossiness: exponents(1 - glossiness), glossiness)
-        self._highlight(both.part(RGB, gloss.specularFactor), f)
+        factor = gloss.get("specularFactor", WHITE[:3])
+        self._highlight(both.part(RGB, factor), f)
 
     def _coloured(self, base: _Map, factor: list[float], metal: _Map) -> None:
         colour = base.part(RGB)
@@ -252,41 +274,42 @@ class Shading:
         self._held += values.nbytes
         afford(self._held, "textures")
 
-    def _open(
-        self, what: str, info: TextureInfo | None, encoding: NamedEncoding
-    ) -> _Map:
+    def _texture(self, record: Record, name: str, encoding: NamedEncoding) -> _Map:
+        return self._open(name, record.get(name), encoding)
+
+    def _open(self, what: str, info: Record | None, encoding: NamedEncoding) -> _Map:
         """One of the material's textures, RGBA; ones if it is missing or unusable."""
         ones = _Map(np.ones(4))
         if info is None:
             return ones
         told = f"{what} of {self._name}"
-        texture = at(self._file.textures, info.index, f"{what}.index")
-        transform = info.extensions.KHR_texture_transform
+        texture = at(self._file, "textures", info["index"], f"{what}.index")
+        transform = info.get("extensions", {}).get("KHR_texture_transform", {})
         placing = Placing(
-            info.texCoord if transform.texCoord is None else transform.texCoord,
-            tuple(transform.offset),
-            transform.rotation,
-            tuple(transform.scale),
+            transform.get("texCoord", info.get("texCoord", 0)),
+            tuple(transform.get("offset", (0, 0))),
+            transform.get("rotation", 0),
+            tuple(transform.get("scale", (1, 1))),
         )
         if self._placing not in (None, placing):
             self._unused[f"{told} (its uv differ from those of another)"] = None
             return ones
-        if texture.source is None:
+        if "source" not in texture:
             self._unused[f"{told} (of an unknown format)"] = None
             return ones
         try:
-            values = self._rgba(texture.source, encoding)
+            values = self._rgba(texture["source"], encoding)
         except ValueError as error:
             self._unused[f"{told} ({shortened(str(error))})"] = None
             return ones
         self._placing = placing
-        sampler = GltfSampler()
-        if texture.sampler is not None:
-            sampler = at(self._file.samplers, texture.sampler, "sampler")
-        wraps = {sampler.wrapS, sampler.wrapT}
+        sampler = {}
+        if "sampler" in texture:
+            sampler = at(self._file, "samplers", texture["sampler"], "sampler")
+        wraps = {sampler.get("wrapS", REPEAT), sampler.get("wrapT", REPEAT)}
         if wraps not in ({REPEAT}, {CLAMP}):
             self._unused[f"the wrapping of {told} (it repeats)"] = None
-        filter = "nearest" if sampler.magFilter == NEAREST else "bilinear"
+        filter = "nearest" if sampler.get("magFilter") == NEAREST else "bilinear"
         wrap = "clamp" if wraps == {CLAMP} else "repeat"
         return _Map(values, {"filter": filter, "wrap": wrap})
 
@@ -301,9 +324,10 @@ class Shading:
         return self._opened[source, encoding]
 
 
-def _own(material: GltfMaterial) -> Material | None:
+def _own(material: Record) -> Material | None:
     """The material that phongfit wrote into `extras`, or `None`."""
-    if not isinstance(material.extras, dict) or "phong" not in material.extras:
+    extras = material.get("extras")
+    if not isinstance(extras, dict) or "phong" not in extras:
         return None
     with naming_field("extras.phong"):
-        return validated(material.extras["phong"], MaterialRecord).build()
+        return validated(extras["phong"], MaterialRecord).build()

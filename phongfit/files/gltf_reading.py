@@ -1,4 +1,4 @@
-"""Read glTF 2.0: triangles and materials, with every number checked before use.
+"""Read glTF 2.0: triangles and materials, with all sizes and indices checked.
 
 A file is JSON that points into bytes: buffers are cut into views, views hold accessors
 (arrays), and these are the attributes of primitives (triangles of one material), which
@@ -19,40 +19,39 @@ import math
 import struct
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from phongfit.files.budget import afford
-from phongfit.files.gltf_materials import GltfShade, Shading
-from phongfit.files.gltf_records import (
-    COLOUR_0,
-    COLOURS,
-    FAN,
-    STRIP,
-    TRIANGLES,
-    Accessor,
-    File,
-    Image,
-    Node,
-    Primitive,
-    at,
-    unused,
-)
-from phongfit.files.inputs import Note, inside, listed, naming, read_bytes
+from phongfit.files.gltf import COLOUR_0, COLOURS
+from phongfit.files.gltf_materials import GltfShade, Shading, at
+from phongfit.files.inputs import Note, inside, listed, naming, read_bytes, reason
 from phongfit.files.mesh_parts import UNNAMED, MeshPart, apart, white
 from phongfit.files.mtl_textures import Shaded
-from phongfit.files.records import validated
 from phongfit.files.strict_json import parse_json
 from phongfit.geometry.normals import triangle_normals
 
-READ = (
+TRIANGLES, STRIP, FAN = 4, 5, 6
+
+REQUIRED = (
     *("KHR_materials_", "KHR_texture_", "EXT_texture_"),
     *("KHR_lights_punctual", "KHR_mesh_quantization"),
 )
 """Prefixes of extensions that a file may require: they are read, or change only colours
 and are listed as not used."""
+
+READ = {
+    "KHR_materials_specular",
+    "KHR_materials_ior",
+    "KHR_materials_emissive_strength",
+    "KHR_materials_pbrSpecularGlossiness",
+    "KHR_mesh_quantization",
+    "KHR_texture_transform",
+}
+"""Extensions that are read."""
 
 VISIT = 1000
 """Bytes that a primitive counts for, whatever it holds."""
@@ -67,30 +66,57 @@ def read_gltf(path: Path, note: Note) -> list[MeshPart]:
     """
     data = read_bytes(path)
     text, binary = _chunks(data) if path.suffix.lower() == ".glb" else (data, None)
-    file = validated(parse_json(text), File)
-    if not file.asset.version.startswith("2."):
-        raise ValueError(f"expected glTF version 2, got {file.asset.version!r}")
-    for name in file.extensionsRequired:
-        if not name.startswith(READ):
-            raise ValueError(
-                f"requires the extension {name!r}, which is not read: export it without"
-            )
-    reader = _Reader(file, path.parent, binary)
-    parts = list(reader.parts())
-    if lost := [*reader.unused, *dict.fromkeys(unused(file))]:
-        note(f"not used: {listed(lost)}")
-    names = _unique_names(file, dict.fromkeys(number for number, _ in parts))
+    file = parse_json(text)
+    try:
+        if not file["asset"]["version"].startswith("2."):
+            raise ValueError(f"expected glTF 2, got {file['asset']['version'][:20]!r}")
+        for name in file.get("extensionsRequired", []):
+            if not name.startswith(REQUIRED):
+                raise ValueError(
+                    f"requires the extension {name[:60]!r}, which is not read: export "
+                    "it without"
+                )
+        reader = _Reader(file, path.parent, binary)
+        parts = list(reader.parts())
+        if lost := [*reader.unused, *dict.fromkeys(_unused(file))]:
+            note(f"not used: {listed(lost)}")
+        names = _unique_names(file, dict.fromkeys(number for number, _ in parts))
+    except (ArithmeticError, AttributeError, LookupError, TypeError) as error:
+        # Files are written by programs: one sentence is enough for any other fault.
+        what = f"{type(error).__name__}: {reason(error)}"
+        raise ValueError(f"is no valid glTF ({what})") from error
     return [
         part._replace(name=names[number]) for number, part in parts if len(part.faces)
     ]
 
 
-def _unique_names(file: File, numbers: Iterable[int | None]) -> dict[int | None, str]:
+def _unused(file: dict[str, Any]) -> Iterator[str]:
+    """Parts of a file that change its looks, but are not used here."""
+    yield from (name for name in ("animations", "skins") if file.get(name))
+    for mesh in file.get("meshes", []):
+        if any("targets" in primitive for primitive in mesh["primitives"]):
+            yield "morph targets"
+    extensions = [*file.get("extensionsUsed", [])]
+    for material in file.get("materials", []):
+        extensions += material.get("extensions", {})
+        for name, usual in (
+            ("occlusionTexture", None),
+            ("alphaMode", "OPAQUE"),
+            ("doubleSided", False),
+        ):
+            if material.get(name, usual) != usual:
+                yield name
+    yield from (name[:60] for name in extensions if name not in READ)
+
+
+def _unique_names(
+    file: dict[str, Any], numbers: Iterable[int | None]
+) -> dict[int | None, str]:
     """Names of materials by their numbers; `None` is the default one."""
     names: dict[int | None, str] = {}
     times: dict[str, int] = {}
     for number in sorted(numbers, key=lambda number: number is not None):
-        given = None if number is None else file.materials[number].name
+        given = None if number is None else file["materials"][number].get("name")
         name = given = given or UNNAMED
         while name in names.values():
             times[given] = times.get(given, 1) + 1
@@ -119,7 +145,7 @@ def _chunks(data: bytes) -> tuple[bytes, bytes | None]:
 class _Reader:
     """Arrays, triangles and their materials; `unused` lists other parts of the file."""
 
-    def __init__(self, file: File, folder: Path, binary: bytes | None):
+    def __init__(self, file: dict[str, Any], folder: Path, binary: bytes | None):
         self.unused: dict[str, None] = {}
         self.shades: dict[int, GltfShade] = {}
         self._shading = Shading(file, self._image, self.unused)
@@ -133,15 +159,14 @@ class _Reader:
     def parts(self) -> Iterator[tuple[int | None, MeshPart]]:
         """Triangles of every node of the scene, with the numbers of their materials."""
         file = self._file
-        if not file.scenes:
+        if not file.get("scenes"):
             return
         seen: set[int] = set()
-        left = [
-            (root, np.eye(4)) for root in at(file.scenes, file.scene, "scene").nodes
-        ]
+        scene = at(file, "scenes", file.get("scene", 0), "scene")
+        left = [(root, np.eye(4)) for root in scene.get("nodes", [])]
         while left:
             number, outer = left.pop()
-            node = at(file.nodes, number, "nodes")
+            node = at(file, "nodes", number, "nodes")
             if number in seen:
                 raise ValueError(f"nodes[{number}]: expected one parent, got two")
             seen.add(number)
@@ -149,33 +174,33 @@ class _Reader:
                 matrix = outer @ _transform(node)
                 if not np.isfinite(matrix).all():
                     raise ValueError("expected a finite transformation")
-            left += [(child, matrix) for child in node.children]
-            if node.mesh is None:
+            left += [(child, matrix) for child in node.get("children", [])]
+            if "mesh" not in node:
                 continue
-            mesh = at(file.meshes, node.mesh, "mesh")
-            for k, primitive in enumerate(mesh.primitives):
+            mesh = at(file, "meshes", node["mesh"], "mesh")
+            for k, primitive in enumerate(mesh["primitives"]):
                 # Nodes that share a mesh may have more primitives than the file.
                 self._made += VISIT
                 afford(self._made, "primitives")
-                if primitive.mode not in (TRIANGLES, STRIP, FAN):
+                if primitive.get("mode", TRIANGLES) not in (TRIANGLES, STRIP, FAN):
                     self.unused["points and lines"] = None
                     continue
-                with naming(f"meshes[{node.mesh}].primitives[{k}]"):
-                    yield primitive.material, self._part(primitive, matrix)
+                with naming(f"meshes[{node['mesh']}].primitives[{k}]"):
+                    yield primitive.get("material"), self._part(primitive, matrix)
 
-    def _part(self, primitive: Primitive, matrix: np.ndarray) -> MeshPart:
-        left = dict(primitive.attributes)
+    def _part(self, primitive: dict[str, Any], matrix: np.ndarray) -> MeshPart:
+        left = dict(primitive["attributes"])
         local = self._attribute(left, "POSITION", "VEC3")
         if local is None:
             raise ValueError("attributes.POSITION: is missing")
         count = len(local)
         corners = np.arange(count)
-        if primitive.indices is not None:
-            corners = self._indices(primitive.indices, count)
-        faces = _triangles(corners, primitive.mode)
+        if "indices" in primitive:
+            corners = self._indices(primitive["indices"], count)
+        faces = _triangles(corners, primitive.get("mode", TRIANGLES))
         shade = None
-        if primitive.material is not None:
-            shade = self._shade(primitive.material)
+        if "material" in primitive:
+            shade = self._shade(primitive["material"])
         normals = self._attribute(left, "NORMAL", "VEC3", count=count)
         uv = self._uv(left, shade, count)
         colours = self._colours(left, shade, count)
@@ -212,7 +237,7 @@ class _Reader:
         )
 
     def _shade(self, number: int) -> GltfShade:
-        material = at(self._file.materials, number, "material")
+        material = at(self._file, "materials", number, "material")
         if number not in self.shades:
             with naming(f"materials[{number}]"):
                 self.shades[number] = self._shading.read(material)
@@ -283,46 +308,42 @@ class _Reader:
     def _array(self, number: int, *kinds: str) -> tuple[np.ndarray, bool]:
         """The rows of an accessor of one of these types, and its `normalized` flag."""
         with naming(f"accessors[{number}]"):
-            accessor: Accessor = at(self._file.accessors, number, "number")
-            if accessor.type not in kinds:
-                raise ValueError(
-                    f"type: expected {' or '.join(kinds)}, got {accessor.type}"
-                )
-            dtype = np.dtype(_TYPES[accessor.componentType])
-            shape = accessor.count, _SIZES[accessor.type]
-            if accessor.bufferView is not None:
-                start = accessor.bufferView, accessor.byteOffset
-                rows = self._rows(*start, dtype, shape)
-            elif accessor.sparse is not None:
+            accessor = at(self._file, "accessors", number, "number")
+            kind = accessor["type"]
+            if kind not in kinds:
+                raise ValueError(f"type: expected {' or '.join(kinds)}, got {kind!r}")
+            dtype = np.dtype(_TYPES[accessor["componentType"]])
+            shape = accessor["count"], _SIZES[kind]
+            few = accessor.get("sparse")
+            if "bufferView" in accessor:
+                rows = self._rows(accessor, dtype, shape)
+            elif few is not None:
                 afford(math.prod(shape) * dtype.itemsize, "an array")
                 rows = np.zeros(shape, dtype)
             else:
                 raise ValueError(
                     "bufferView: is missing, as in compressed meshes: expected one"
                 )
-            if (few := accessor.sparse) is not None:
+            if few is not None:
                 with naming("sparse"):
-                    kind = np.dtype(_TYPES[few.indices.componentType])
-                    start = few.indices.bufferView, few.indices.byteOffset
-                    which = self._rows(*start, kind, (few.count, 1))[:, 0]
-                    if few.count and which.max() >= accessor.count:
-                        raise ValueError(
-                            f"indices: expected numbers below {accessor.count}"
-                        )
+                    whole = np.dtype(_TYPES[few["indices"]["componentType"]])
+                    which = self._rows(few["indices"], whole, (few["count"], 1))[:, 0]
                     rows = rows.copy()
-                    start = few.values.bufferView, few.values.byteOffset
-                    rows[which] = self._rows(*start, dtype, (few.count, shape[1]))
-            return rows, accessor.normalized
+                    rows[which] = self._rows(
+                        few["values"], dtype, (few["count"], shape[1])
+                    )
+            return rows, accessor.get("normalized", False)
 
     def _rows(
-        self, view: int, start: int, dtype: np.dtype, shape: tuple[int, int]
+        self, place: dict[str, Any], dtype: np.dtype, shape: tuple[int, int]
     ) -> np.ndarray:
-        """Rows of numbers in a view, without a copy."""
+        """Rows of numbers in the view at a place, without a copy."""
+        view, start = place["bufferView"], place.get("byteOffset", 0)
         data = self._view(view)
         row = shape[1] * dtype.itemsize
-        stride = self._file.bufferViews[view].byteStride or row
+        stride = self._file["bufferViews"][view].get("byteStride") or row
         needed = start + max(shape[0] - 1, 0) * stride + row
-        if stride < row or needed > len(data):
+        if stride < row or start < 0 or needed > len(data):
             raise ValueError(
                 f"bufferView: expected {needed} bytes in bufferViews[{view}], got "
                 f"{len(data)}"
@@ -330,35 +351,36 @@ class _Reader:
         return np.ndarray(shape, dtype, data, start, (stride, dtype.itemsize))
 
     def _view(self, number: int) -> memoryview:
-        cut = at(self._file.bufferViews, number, "bufferView")
+        cut = at(self._file, "bufferViews", number, "bufferView")
         with naming(f"bufferViews[{number}]"):
-            data, end = self._buffer(cut.buffer), cut.byteOffset + cut.byteLength
-            if end > len(data):
+            data, start = self._buffer(cut["buffer"]), cut.get("byteOffset", 0)
+            end = start + cut["byteLength"]
+            if not 0 <= start <= end <= len(data):
                 raise ValueError(
-                    f"expected bytes up to {end}, got {len(data)} in "
-                    f"buffers[{cut.buffer}]"
+                    f"expected bytes {start} to {end}, got {len(data)} in "
+                    f"buffers[{cut['buffer']}]"
                 )
-        return memoryview(data)[cut.byteOffset : end]
+        return memoryview(data)[start:end]
 
     def _buffer(self, number: int) -> bytes:
-        buffer = at(self._file.buffers, number, "buffer")
+        buffer = at(self._file, "buffers", number, "buffer")
         if number not in self._buffers:
             content = self._binary
-            if buffer.uri is not None or number > 0 or content is None:
+            if "uri" in buffer or number > 0 or content is None:
                 with naming(f"buffers[{number}].uri"):
-                    content = self._named(buffer.uri or "")
+                    content = self._named(buffer.get("uri", ""))
             self._read += len(content)
             afford(self._read, "buffers")
-            self._buffers[number] = content[: buffer.byteLength]
+            self._buffers[number] = content[: buffer["byteLength"]]
         return self._buffers[number]
 
     def _image(self, number: int) -> tuple[bytes, Path]:
         """The bytes of an image, and its name in messages."""
-        image: Image = at(self._file.images, number, "source")
+        image = at(self._file, "images", number, "source")
         name = f"images[{number}]"
-        if image.bufferView is not None:
-            return bytes(self._view(image.bufferView)), self._folder / name
-        uri = image.uri or ""
+        if "bufferView" in image:
+            return bytes(self._view(image["bufferView"])), self._folder / name
+        uri = image.get("uri", "")
         with naming(f"{name}.uri"):
             content = self._named(uri)
         return content, self._folder / (
@@ -382,16 +404,16 @@ _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "
 _SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
 
-def _transform(node: Node) -> np.ndarray:
+def _transform(node: dict[str, Any]) -> np.ndarray:
     """Matrix from a node's axes to its parent's, from `matrix` or from T R S."""
-    if node.matrix is not None:
-        return np.array(node.matrix).reshape(4, 4).T
-    matrix = np.eye(4)
-    if not math.isfinite(length := math.hypot(*node.rotation)) or length == 0:
-        raise ValueError(f"rotation: expected a unit quaternion, got {node.rotation}")
-    turn = Rotation.from_quat(np.array(node.rotation) / length).as_matrix()
-    matrix[:3, :3] = turn * np.array(node.scale)
-    matrix[:3, 3] = node.translation
+    if "matrix" in node:
+        return np.array(node["matrix"], float).reshape(4, 4).T
+    matrix, rotation = np.eye(4), node.get("rotation", [0, 0, 0, 1])
+    if not math.isfinite(length := math.hypot(*rotation)) or length == 0:
+        raise ValueError(f"rotation: expected a unit quaternion, got {rotation}")
+    turn = Rotation.from_quat(np.array(rotation) / length).as_matrix()
+    matrix[:3, :3] = turn * np.array(node.get("scale", [1, 1, 1]), float)
+    matrix[:3, 3] = node.get("translation", [0, 0, 0])
     return matrix
 
 

@@ -214,7 +214,8 @@ def read_light(
     numbers = np.repeat(numbers, 3, axis=-1) if grey else np.ascontiguousarray(numbers)
     clamped = values.dtype.kind != "f"
     coded = Coded(numbers, coded.table)
-    return Photo(path, encoding, coded, usable, clamped, white=white)
+    exposure = read.metadata.exposure
+    return Photo(path, encoding, coded, usable, clamped, exposure, white=white)
 
 
 def _to_white(path: Path, values: np.ndarray, white: int | None) -> np.ndarray:
@@ -580,7 +581,8 @@ def _read_numbers(path: Path, max_pixels: int | None = None) -> _Numbers:
         room, format = _room(data, max_pixels), format_of(data, path)
         if format in RAW:
             raw = read_raw(data, path, room)
-            return _Numbers(raw.numbers, raw.usable, Metadata(), "RAW photographs")
+            metadata = Metadata(exposure=raw.exposure)
+            return _Numbers(raw.numbers, raw.usable, metadata, "RAW photographs")
         values = _one_image(READERS[format](data, path, room))
         usable = np.ones(values.shape[:2], bool)
         return _Numbers(values, usable, read_metadata(data, path), "")

@@ -28,17 +28,15 @@ _checksums = contextvars.ContextVar("checksums", default=None)
 
 
 @contextlib.contextmanager
-def recording(known: dict[Path, str] | None = None) -> Iterator[dict[Path, str]]:
+def recording() -> Iterator[dict[Path, str]]:
     """Collect the SHA-256 of every file that the block reads, by its path.
 
     A file that is read again must be unchanged, so that a result depends only on the
     recorded inputs.
 
-    **Arguments:** `known`: checksums of an earlier block, which are extended.
-
     **Raises:** `ValueError` that names a file that has changed.
     """
-    found: dict[Path, str] = {} if known is None else known
+    found: dict[Path, str] = {}
     outer = _checksums.get()
     token = _checksums.set(found)
     try:

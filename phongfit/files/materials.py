@@ -3,7 +3,7 @@
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from phongfit.files.arguments import describe
 from phongfit.files.fits import FIT_FORMAT, FitRecord, check_fit
@@ -86,25 +86,17 @@ def _from_library(path: Path, name: str | None) -> NamedMaterial:
 
 
 def _from_record(path: Path) -> NamedMaterial:
-    record = read_one_of(path, FORMATS)
+    record: Any = read_one_of(path, FORMATS)
     with naming(str(path)):
-        match record:
-            case FitRecord():
-                check_fit(record)
-                return NamedMaterial(
-                    record.data.name, record.build(), record.specular()
-                )
-            case TruthRecord():
-                with naming_field("material"):
-                    return NamedMaterial(path.stem, record.material.build(), None)
-            case MaterialFile():
-                with naming_field("material"):
-                    material = record.material.build()
-                model = record.model
-                return NamedMaterial(
-                    record.name, material, model.build() if model else BlinnPhong()
-                )
-    raise AssertionError(f"{type(record).__name__} has no place in FORMATS")
+        if isinstance(record, FitRecord):
+            check_fit(record)
+            return NamedMaterial(record.data.name, record.build(), record.specular())
+        with naming_field("material"):
+            material = record.material.build()
+        if isinstance(record, TruthRecord):
+            return NamedMaterial(path.stem, material, None)
+        model = record.model.build() if record.model else BlinnPhong()
+        return NamedMaterial(record.name, material, model)
 
 
 def write_material(

@@ -17,6 +17,7 @@ from jaxtyping import Float
 from phongfit.edge import checked
 from phongfit.files.formats import encode_png
 from phongfit.files.gltf import (
+    COLOURS as ATTRIBUTES,
     Part,
     Picture,
     pbr_material,
@@ -24,7 +25,6 @@ from phongfit.files.gltf import (
     specular_colour,
     write_gltf,
 )
-from phongfit.files.gltf_records import COLOURS as ATTRIBUTES
 from phongfit.files.images import to_levels
 from phongfit.files.limits import exponent, limited, lost
 from phongfit.files.mtl import COLOURS, mtl_block

@@ -33,8 +33,7 @@ def read_photograph(
 
     **Raises:** `ValueError` that names the file.
     """
-    photo = read_light(path, encoding, white=white)
-    return dataclasses.replace(photo, exposure=read_head(photo.path).exposure)
+    return read_light(path, encoding, white=white)
 
 
 @dataclass(frozen=True)
@@ -83,11 +82,8 @@ class PhotoSeries:
         photo = read_light(self.paths[number], self.encoding, white=self.white)
         if photo.usable.shape != self.size:
             raise ValueError(f"{photo.path}: has changed since it was read before")
-        return dataclasses.replace(
-            photo,
-            exposure=self.exposures[number],
-            relative_exposure=float(self.relative_exposures[number]),
-        )
+        relative = float(self.relative_exposures[number])
+        return dataclasses.replace(photo, relative_exposure=relative)
 
 
 def open_photographs(

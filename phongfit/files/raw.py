@@ -31,7 +31,7 @@ _CUT_OFF = 65535 - 8
 
 
 class Raw(NamedTuple):
-    """Pixels of a RAW photograph, with a mask.
+    """Pixels of a RAW photograph, with a mask, and the exposure that it states.
 
     - `numbers`: linear light with the primaries of sRGB; 65535 is white.
     - `usable`: false where a channel of the sensor was saturated, since the conversion
@@ -40,6 +40,7 @@ class Raw(NamedTuple):
 
     numbers: UInt16[np.ndarray, "height width 3"]
     usable: Bool[np.ndarray, "height width"]
+    exposure: Exposure
 
 
 def read_raw(data: bytes, path: Path, room: Room) -> Raw:
@@ -62,7 +63,8 @@ def read_raw(data: bytes, path: Path, room: Room) -> Raw:
         numbers = _developed(raw, "sRGB")
         # Set exactly, since the conversion of colours rounds.
         numbers[cut_off.all(axis=-1)] = 65535
-        return Raw(numbers, ~_near(np.asarray(cut_off.any(axis=-1))))
+        usable = ~_near(np.asarray(cut_off.any(axis=-1)))
+        return Raw(numbers, usable, _exposure(raw))
 
 
 def read_raw_head(
@@ -75,15 +77,17 @@ def read_raw_head(
     **Raises:** as [`read_raw`][] does.
     """
     with _opened(data, path) as raw:
-        sizes, other = raw.sizes, raw.other
+        sizes = raw.sizes
         # In LibRaw's flip, the bit of value 4 exchanges rows and columns.
         size = (sizes.height, sizes.width) if sizes.flip & 4 else (
             sizes.width, sizes.height
         )  # fmt: skip
-        balance = _white_balance(raw)
-    stated = (other.shutter_speed, other.aperture, other.iso_speed)
-    exposure = Exposure(*(float(value) if value > 0 else None for value in stated))
-    return size, exposure, balance
+        return size, _exposure(raw), _white_balance(raw)
+
+
+def _exposure(raw: Any) -> Exposure:
+    stated = (raw.other.shutter_speed, raw.other.aperture, raw.other.iso_speed)
+    return Exposure(*(float(value) if value > 0 else None for value in stated))
 
 
 @contextlib.contextmanager

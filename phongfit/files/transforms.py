@@ -8,16 +8,15 @@
 import math
 from collections.abc import Mapping
 from pathlib import Path, PureWindowsPath
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field
+import numpy as np
 
 from phongfit.codes import warn
 from phongfit.files.budget import afford
 from phongfit.files.colmap import CAMERA
 from phongfit.files.images import SUFFIXES, read_head
 from phongfit.files.inputs import beside, inside, listed, naming, read_text
-from phongfit.files.records import Many, validated
 from phongfit.files.strict_json import parse_json, shorten
 from phongfit.geometry.cameras import PinholeCamera
 from phongfit.geometry.conventions import camera_pose
@@ -28,46 +27,15 @@ from phongfit.geometry.distortion import (
 )
 
 MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "OPENCV_FISHEYE")
-FEW = 8
+FEW, MOST = 8, 10_000
+NUMBERS = (
+    *("camera_angle_x", "camera_angle_y", "fl_x", "fl_y", "cx", "cy", "w", "h"),
+    *("k1", "k2", "k3", "k4", "p1", "p2"),
+)
+"""Keys of a camera's numbers, given once for all frames or in each frame."""
+KNOWN = {*NUMBERS, "is_fisheye", "camera_model", "file_path", "transform_matrix"}
 
-Positive = Annotated[float, Field(gt=0)]
-Angle = Annotated[float, Field(gt=0, lt=math.pi)]
-
-
-class _Intrinsics(BaseModel):
-    """Camera parameters, given once for all frames or in each frame."""
-
-    model_config = ConfigDict(
-        extra="allow", strict=True, frozen=True, allow_inf_nan=False, defer_build=True
-    )
-
-    camera_angle_x: Angle | None = None
-    camera_angle_y: Angle | None = None
-    fl_x: Positive | None = None
-    fl_y: Positive | None = None
-    cx: float | None = None
-    cy: float | None = None
-    w: Positive | None = None
-    h: Positive | None = None
-    k1: float = 0.0
-    k2: float = 0.0
-    k3: float = 0.0
-    k4: float = 0.0
-    p1: float = 0.0
-    p2: float = 0.0
-    is_fisheye: bool = False
-    camera_model: str | None = None
-
-
-class _Frame(_Intrinsics):
-    file_path: Annotated[str, Field(min_length=1, max_length=1000)]
-    transform_matrix: Annotated[
-        list[Annotated[list[float], Field(max_length=4)]], Field(max_length=4)
-    ]
-
-
-class _Transforms(_Intrinsics):
-    frames: Many[_Frame]
+Frame = dict[str, Any]
 
 
 def load_transforms(path: Path) -> dict[str, PinholeCamera]:
@@ -80,66 +48,72 @@ def load_transforms(path: Path) -> dict[str, PinholeCamera]:
     """
     text = read_text(path)
     with naming(str(path)):
-        data = validated(parse_json(text), _Transforms)
-        afford(CAMERA * len(data.frames), f"{len(data.frames)} cameras")
-        if not data.frames:
-            raise ValueError("frames: expected at least one, got none")
+        common = parse_json(text)
+        frames = common.pop("frames", None) if isinstance(common, dict) else None
+        if not isinstance(frames, list) or not 0 < len(frames) <= MOST:
+            raise ValueError(f"frames: expected at least one and at most {MOST}")
+        afford(CAMERA * len(frames), f"{len(frames)} cameras")
         made: dict[str, PinholeCamera] = {}
-        common = data.model_dump(exclude_unset=True, exclude={"frames"})
-        for at, frame in enumerate(data.frames):
+        for at, frame in enumerate(frames):
             with naming(f"frames[{at}]"):
-                name = PureWindowsPath(frame.file_path).as_posix()
+                merged = _checked(common, frame)
+                name = PureWindowsPath(merged["file_path"]).as_posix()
                 if name in made:
                     raise ValueError(f"file_path: {shorten(name)} comes twice")
-                own = frame.model_dump(exclude_unset=True)
-                merged = _Frame.model_validate(common | own)
                 made[name] = _camera(path.parent, name, merged)
-    unused = [*(data.model_extra or {})]
-    unused += [key for frame in data.frames for key in frame.model_extra or {}]
-    if unused:
-        _warn(path, list(dict.fromkeys(unused)))
+    keys = [key for record in (common, *frames) for key in record if key not in KNOWN]
+    if unused := list(dict.fromkeys(keys)):
+        named = listed([shorten(key) for key in unused], FEW, "more")
+        remedy = "Check that none of these changes what a camera sees"
+        warn("part-unused", f"{path}: not used: {named}", remedy, stacklevel=3)
     return made
 
 
-def _warn(path: Path, unused: list[str]) -> None:
-    named = listed([shorten(key) for key in unused], FEW, "more")
-    remedy = "Check that none of these changes what a camera sees"
-    warn("part-unused", f"{path}: not used: {named}", remedy, stacklevel=4)
+def _checked(common: Frame, frame: Any) -> Frame:
+    """A frame with the keys that are common to all, of the right types."""
+    if not isinstance(frame, dict):
+        raise ValueError(f"expected an object {{…}}, got {shorten(frame)}")
+    merged = common | frame
+    for key in NUMBERS:
+        value = merged.get(key, 0)
+        if not isinstance(value, int | float) or isinstance(value, bool):
+            raise ValueError(f"{key}: expected a number, got {shorten(value)}")
+    if not isinstance(merged.get("file_path"), str):
+        raise ValueError("file_path: expected a file's name")
+    rows = merged.get("transform_matrix")
+    matrix = np.array(rows if isinstance(rows, list) else 0, dtype=object)
+    if matrix.shape not in ((3, 4), (4, 4)):
+        raise ValueError(
+            f"transform_matrix: expected four rows of four numbers, got {shorten(rows)}"
+        )
+    return merged
 
 
-def _camera(folder: Path, name: str, frame: _Frame) -> PinholeCamera:
+def _camera(folder: Path, name: str, frame: Frame) -> PinholeCamera:
     width, height = _size(folder, name, frame)
-    pose = camera_pose(_matrix(frame), "nerf")
+    pose = camera_pose(frame["transform_matrix"], "nerf")
     return PinholeCamera(
         width,
         height,
         **_focal(frame, width, height),
         # Measured from the corner of the first pixel, as in COLMAP, their source.
-        cx=frame.cx,
-        cy=frame.cy,
+        cx=frame.get("cx"),
+        cy=frame.get("cy"),
         distortion=_distortion(frame),
         position=pose.position,
         rotation=pose.rotation,
     )
 
 
-def _matrix(frame: _Frame) -> list[list[float]]:
-    rows = frame.transform_matrix
-    if len(rows) not in (3, 4) or any(len(row) != 4 for row in rows):
-        raise ValueError(
-            f"transform_matrix: expected four rows of four numbers, got {shorten(rows)}"
-        )
-    return rows
-
-
-def _size(folder: Path, name: str, frame: _Frame) -> tuple[int, int]:
-    if frame.w is None or frame.h is None:
+def _size(folder: Path, name: str, frame: Frame) -> tuple[int, int]:
+    if "w" not in frame or "h" not in frame:
         with naming("file_path"):
             return read_head(image_of(folder, name)).size
-    for key, value in (("w", frame.w), ("h", frame.h)):
-        if not value.is_integer() or value > 2**31:
-            raise ValueError(f"{key}: expected a whole number of pixels, got {value:g}")
-    return int(frame.w), int(frame.h)
+    for key in ("w", "h"):
+        if frame[key] != int(frame[key]) or not 0 < frame[key] < 2**31:
+            got = f"{frame[key]:g}"
+            raise ValueError(f"{key}: expected a whole number of pixels, got {got}")
+    return int(frame["w"]), int(frame["h"])
 
 
 def image_of(folder: Path, name: str) -> Path:
@@ -155,38 +129,41 @@ def image_of(folder: Path, name: str) -> Path:
     return beside(folder, name) or inside(folder, name)
 
 
-def _focal(frame: _Frame, width: int, height: int) -> Mapping[str, float]:
-    x, y = frame.fl_x, frame.fl_y
-    if x is None and frame.camera_angle_x is not None:
-        x = width / 2 / math.tan(frame.camera_angle_x / 2)
-    if y is None and frame.camera_angle_y is not None:
-        y = height / 2 / math.tan(frame.camera_angle_y / 2)
-    if x is None and y is None:
+def _focal(frame: Frame, width: int, height: int) -> Mapping[str, float]:
+    found = {}
+    for axis, side in (("x", width), ("y", height)):
+        if (length := frame.get(f"fl_{axis}")) is None:
+            angle = frame.get(f"camera_angle_{axis}")
+            if angle is None:
+                continue
+            if not 0 < angle < math.pi:
+                raise ValueError(f"camera_angle_{axis}: expected 0 to π, got {angle:g}")
+            length = side / 2 / math.tan(angle / 2)
+        found[f"f{axis}"] = length
+    if not found:
         raise ValueError("fl_x: expected it or camera_angle_x, got neither")
-    fx, fy = (x if x is not None else y), (y if y is not None else x)
-    assert fx is not None and fy is not None
-    return {"fx": fx, "fy": fy}
+    one = next(iter(found.values()))
+    return {"fx": one, "fy": one} | found
 
 
-def _distortion(frame: _Frame) -> AbstractDistortion | None:
-    model = frame.camera_model
+def _distortion(frame: Frame) -> AbstractDistortion | None:
+    model = frame.get("camera_model")
     if model is not None and model not in MODELS:
         wanted = ", ".join(MODELS)
         raise ValueError(
             f"camera_model: expected one of {wanted}, got {shorten(model)}"
         )
-    radial: dict[str, Any] = {key: getattr(frame, key) for key in ("k1", "k2", "k3")}
-    tangential = {"p1": frame.p1, "p2": frame.p2}
-    if frame.is_fisheye or model == "OPENCV_FISHEYE":
-        if any(tangential.values()):
+    k1, k2, k3, k4, p1, p2 = (float(frame.get(key, 0)) for key in NUMBERS[-6:])
+    if frame.get("is_fisheye") or model == "OPENCV_FISHEYE":
+        if p1 or p2:
             raise ValueError("p1: expected 0 of a fisheye, which has k1 … k4")
-        return FisheyeDistortion(**radial, k4=frame.k4)
-    if frame.k4:
+        return FisheyeDistortion(k1, k2, k3, k4)
+    if k4:
         raise ValueError(
             "k4: expected 0 unless is_fisheye is true, got an eighth power of the "
             "radius, which is not modelled"
         )
-    known = any((*radial.values(), *tangential.values()))
+    known = any((k1, k2, k3, p1, p2))
     if known and model in ("PINHOLE", "SIMPLE_PINHOLE"):
         raise ValueError(f"k1: expected no distortion of a {model} camera")
-    return BrownDistortion(**radial, **tangential) if known else None
+    return BrownDistortion(k1=k1, k2=k2, k3=k3, p1=p1, p2=p2) if known else None

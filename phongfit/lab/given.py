@@ -12,7 +12,6 @@ from phongfit.files.capture_data import (
     DIRECTION,
     list_of,
     masked,
-    one_photograph,
     open_captured,
 )
 from phongfit.files.captures import Capture, open_capture
@@ -85,7 +84,7 @@ def _open_ball(
     known, notes = _encoding_of(path, encoding)
     capture = None
     if sphere is None:
-        capture = _capture(path, known, lights, white)
+        capture = open_capture(path, known, lights=list_of(lights), white=white)
         sphere = x, y, radius = _find_circle(path, capture)
         notes += (
             f"the ball's circle was found in the photograph: centre {x:.1f}, {y:.1f}, "
@@ -100,14 +99,6 @@ def _open_ball(
             "sliders have it",
         )
     return dataclasses.replace(given, notes=(*given.notes, *notes))
-
-
-def _capture(
-    path: Path, encoding: Encoding | None, lights: Path | None, white: int | None
-) -> Capture:
-    if path.is_dir():
-        return open_capture(path, encoding, lights=list_of(lights), white=white)
-    return one_photograph(path, encoding, white=white)
 
 
 def _find_circle(path: Path, capture: Capture) -> tuple[float, float, float]:

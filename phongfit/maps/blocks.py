@@ -42,7 +42,7 @@ from phongfit.maps.result import Layer, layers_of, view_of
 from phongfit.maps.run import as_mesh, fit_job, tile_size, versions
 from phongfit.maps.stacks import (
     AbstractStack,
-    RectangleStack,
+    ArrayStack,
     ZarrStack,
     identify_stack,
     read_rectangle,
@@ -124,7 +124,7 @@ class Plan:
             stack = ZarrStack(self.images, self.encoding)
         return make_job(
             scenes,
-            RectangleStack(read_rectangle(stack, window)),
+            ArrayStack(read_rectangle(stack, window)),
             mask=jax.tree.map(read, self.mask),
             noise=jax.tree.map(read, self.noise),
             **self.options,

@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import mmap
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, final
 
 import jax.numpy as jnp
@@ -30,15 +30,11 @@ from phongfit.files.zarrs import (
     place_of,
     read_window,
 )
-from phongfit.maps.ahead import ahead
-from phongfit.maps.spool import Spool
+from phongfit.maps.spool import UsedImage, spooled
 from phongfit.rendering.film import Encoding, as_encoding
 from phongfit.scene import Scene
 
 Update = Callable[[bytes | memoryview], None]
-
-DECODED = 2
-"""Number of photographs decoded in parallel, while another is written to the spool."""
 
 
 class AbstractStack(abc.ABC):
@@ -79,14 +75,110 @@ class AbstractStack(abc.ABC):
         """Feed the content of the images to a checksum."""
 
 
-class ArrayStack(AbstractStack):
+class AbstractCodedStack(AbstractStack):
+    """Images that are read as stored, and decoded to light on request."""
+
+    def take(
+        self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
+    ) -> Float[np.ndarray, "images n 3"]:
+        return self.take_coded(pixels, order).light
+
+    @abc.abstractmethod
+    def take_coded(
+        self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
+    ) -> Coded: ...
+
+
+class AbstractArrays(AbstractCodedStack):
+    """Images as arrays, in memory or mapped to memory from a file."""
+
+    _images: tuple[UsedImage, ...]
+    _table: np.ndarray | None
+
+    def _keep(self, images: Iterable[UsedImage]) -> None:
+        self._images = tuple(images)
+        self._table = _common_table([image.coded for image in self._images])
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        height, width, _ = self._images[0].coded.numbers.shape
+        return len(self._images), height, width
+
+    @property
+    def _dtype(self) -> np.dtype:
+        first = self._images[0].coded.numbers.dtype
+        return _float_type() if self._table is None else first
+
+    @property
+    def itemsize(self) -> int:
+        return self._dtype.itemsize
+
+    def take_coded(self, pixels: Int[np.ndarray, " n"], order: Sequence[int]) -> Coded:
+        taken = np.empty((len(order), len(pixels), 3), self._dtype)
+        hidden = np.zeros(taken.shape, bool)
+        for row, k in enumerate(order):
+            (numbers, table), used = self._images[k]
+            numbers = gather(numbers, pixels)
+            stored = table is None or self._table is not None
+            taken[row] = numbers if stored else table[numbers]
+            if used is not None:
+                used = used.reshape(*used.shape[:2], -1)
+                hidden[row] = ~gather(used, pixels)
+        for image in self._images:
+            _let_go(image.coded.numbers)
+        table = self._table
+        if table is not None and table.ndim == 2:
+            table = table[list(order)]
+        if not hidden.any():
+            return Coded(taken, table)
+        taken[hidden] = 0
+        return Coded(np.ma.MaskedArray(taken, hidden), table)
+
+    def identify(self, update: Update) -> None:
+        for (numbers, table), used in self._images:
+            for array in (numbers, table, used):
+                if array is None:
+                    continue
+                update(f"{array.dtype.str} {array.shape}".encode())
+                for row in array:
+                    update(np.ascontiguousarray(row).data.cast("B"))
+            _let_go(numbers)
+
+
+def _common_table(images: Sequence[Coded]) -> np.ndarray | None:
+    """The table of all images, or a row for each; `None` if they are read as light.
+
+    Light is also read if whole numbers have different types, or 16 bits and different
+    tables, which would be larger than the images of most tiles.
+    """
+    first = images[0]
+    kind, tables = first.numbers.dtype, []
+    for numbers, table in images:
+        if table is None or numbers.dtype != kind:
+            return None
+        tables.append(table)
+    if all(np.array_equal(table, tables[0]) for table in tables):
+        return tables[0]
+    return np.stack(tables) if kind.itemsize == 1 else None
+
+
+@final
+class ArrayStack(AbstractArrays):
     """Arrays, in memory or memory-mapped (`np.load(path, mmap_mode="r")`)."""
 
     def __init__(self, images: Any):
-        """**Arguments:** `images`: (L, H, W, 3), or a sequence of (H, W, 3): floats.
+        """**Arguments:** `images`: (L, H, W, 3), or a sequence of (H, W, 3): floats. Or
+        [`Coded`][] images, (L, H, W, 3).
 
         **Raises:** `ValueError` that names the image: not floats, or another shape.
         """
+        if isinstance(images, Coded):
+            numbers, table = images
+            tables = (
+                [table] * len(numbers) if table is None or table.ndim == 1 else table
+            )
+            self._keep(map(_unmasked, numbers, tables))
+            return
         if not isinstance(images, np.ndarray) or not images.ndim:
             try:
                 images = list(images)
@@ -114,89 +206,88 @@ class ArrayStack(AbstractStack):
                     f"images[{k}]: expected shape {first}, as of images[0], got "
                     f"{array.shape}"
                 )
-        self._arrays = tuple(arrays)
-        # One array in memory of the right type and order is used without copies.
-        self._whole = None
-        plain = type(images) is np.ndarray and images.flags.c_contiguous
-        if plain and images.dtype == _float_type() and _mapping(images) is None:
-            self._whole = images.reshape(len(images), -1, 3)
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        height, width, _ = self._arrays[0].shape
-        return len(self._arrays), height, width
-
-    def take(
-        self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
-    ) -> Float[np.ndarray, "images n 3"]:
-        in_order = list(order) == list(range(len(self._arrays)))
-        if self._whole is not None and in_order and is_run(pixels):
-            return self._whole[:, pixels[0] : pixels[-1] + 1]
-        taken = np.empty((len(order), len(pixels), 3), _float_type())
-        if any(map(np.ma.is_masked, self._arrays)):
-            taken = np.ma.MaskedArray(taken, np.zeros(taken.shape, bool))
-        for row, k in enumerate(order):
-            taken[row] = gather(self._arrays[k], pixels)
-        for array in self._arrays:
-            _let_go(array)
-        return taken
-
-    def identify(self, update: Update) -> None:
-        for array in self._arrays:
-            update(f"{array.dtype.str} {array.shape}".encode())
-            if np.ma.is_masked(array):
-                update(np.packbits(np.ma.getmaskarray(array)).tobytes())
-            for row in np.ma.getdata(array):
-                update(np.ascontiguousarray(row).data.cast("B"))
-            _let_go(array)
+        self._keep(_unmasked(array, None) for array in arrays)
 
 
-class AbstractCodedStack(AbstractStack):
-    """Images that are read as stored, and decoded to light on request."""
-
-    def take(
-        self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
-    ) -> Float[np.ndarray, "images n 3"]:
-        return self.take_coded(pixels, order).light
-
-    @abc.abstractmethod
-    def take_coded(
-        self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
-    ) -> Coded: ...
+def _unmasked(numbers: np.ndarray, table: np.ndarray | None) -> UsedImage:
+    used = ~np.ma.getmaskarray(numbers) if np.ma.is_masked(numbers) else None
+    return UsedImage(Coded(np.ma.getdata(numbers), table), used)
 
 
 @final
-class RectangleStack(AbstractCodedStack):
-    """A rectangle of images in memory."""
+class PhotographStack(AbstractArrays):
+    """Image files as a stack of photographs, each decoded once: see [`spooled`][].
 
-    def __init__(self, images: Coded):
-        """**Arguments:** `images`: (L, H, W, 3)."""
-        self._images = images
+    If their exposures differ, all are scaled to the shortest exposure, samples clipped
+    at white are masked, and `notes` has a message about it.
+    """
 
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        count, height, width, _ = self._images.numbers.shape
-        return count, height, width
+    @checked
+    def __init__(
+        self,
+        paths: Sequence[str | os.PathLike[str]],
+        encoding: Encoding,
+        *,
+        white: int | None = None,
+    ):
+        """**Arguments:**
 
-    def take_coded(self, pixels: Int[np.ndarray, " n"], order: Sequence[int]) -> Coded:
-        numbers, table = self._images
-        numbers = numbers.reshape(len(numbers), -1, 3)
-        if is_run(pixels):
-            # Consecutive pixels are a view, without a copy.
-            numbers = numbers[:, pixels[0] : pixels[-1] + 1]
-        else:
-            numbers = numbers.take(pixels, axis=1)
-        if list(order) != list(range(len(numbers))):
-            numbers = numbers[list(order)]
-            table = table if table is None or table.ndim == 1 else table[list(order)]
-        return Coded(numbers, table)
+        - `paths`: one file for each image.
+        - `encoding`, `white`: see [`read_image`][].
 
-    def identify(self, update: Update) -> None:
-        numbers, table = self._images
-        for array in (np.ma.getdata(numbers), np.ma.getmaskarray(numbers), table):
-            if array is not None:
-                update(f"{array.dtype.str} {array.shape}".encode())
-                update(np.ascontiguousarray(array).data.cast("B"))
+        **Raises:** `ValueError` that names the file that cannot be read, has another
+        size, or has no exposure while others have one.
+        """
+        series = open_photographs(paths, encoding, white=white)
+        relative = series.relative_exposures
+        shares = relative.min() / relative
+        self.notes = series.notes
+
+        def scaled(number: int) -> UsedImage:
+            photo = series.read(number)
+            if (shares == 1).all():
+                return UsedImage(photo.coded, photo.usable)
+            return UsedImage(photo.coded.times(shares[number]), photo.unsaturated)
+
+        self._keep(spooled(scaled, len(series)))
+
+
+@final
+class DatasetStack(AbstractArrays):
+    """A data set's photographs, each decoded once: see [`open_dataset`][].
+
+    Samples that the data set leaves out are masked. `mask` is true for pixels with at
+    least one sample: if it is given to [`fit_maps`][], the others count as outside.
+
+        data = pf.open_dataset("ballPNG")
+        stack = pf.DatasetStack(data)
+        maps = pf.fit_maps(data.scenes, stack, mask=stack.mask, film=data.film)
+    """
+
+    @checked
+    def __init__(self, photographs: Photographs):
+        """**Arguments:** `photographs`: a data set, of which each file is read once.
+
+        **Raises:** `ValueError` that names the file that is missing or wrong.
+        """
+        camera = photographs.scenes[0].camera
+        self.photographs = photographs
+        self.mask = np.zeros((camera.height, camera.width), bool)
+
+        def read(number: int) -> UsedImage:
+            return UsedImage(*photographs.read(number))
+
+        self._keep(spooled(read, len(photographs.names)))
+        for _, used in self._images:
+            # Without a mask every sample may be used.
+            shape = (*self.mask.shape, -1)
+            self.mask |= True if used is None else used.reshape(shape).any(axis=-1)
+
+    def with_scenes(self, scenes: Sequence[Scene]) -> "DatasetStack":
+        """The stack with other scenes, without decoding the photographs again."""
+        other = copy.copy(self)
+        other.photographs = dataclasses.replace(self.photographs, scenes=tuple(scenes))
+        return other
 
 
 @final
@@ -223,105 +314,7 @@ class KeptStack(AbstractCodedStack):
         self._stack.identify(update)
 
 
-class AbstractPhotographs(AbstractCodedStack):
-    """Photographs that are decoded once, with a few in memory at a time.
-
-    The decoded samples are then read from a temporary file in the folder TMPDIR, so
-    that the original files may change or vanish meanwhile.
-    """
-
-    _spool: Spool
-
-    def take_coded(self, pixels: Int[np.ndarray, " n"], order: Sequence[int]) -> Coded:
-        return self._spool.take(pixels, order)
-
-    @property
-    def itemsize(self) -> int:
-        return self._spool.itemsize
-
-    def identify(self, update: Update) -> None:
-        update(self._spool.checksum)
-
-
 @final
-class PhotographStack(AbstractPhotographs):
-    """Image files as a stack of photographs.
-
-    If their exposures differ, all are scaled to the shortest exposure, samples clipped
-    at white are masked, and `notes` has a message about it.
-    """
-
-    @checked
-    def __init__(
-        self,
-        paths: Sequence[str | os.PathLike[str]],
-        encoding: Encoding,
-        *,
-        white: int | None = None,
-    ):
-        """**Arguments:**
-
-        - `paths`: one file for each image.
-        - `encoding`, `white`: see [`read_image`][].
-
-        **Raises:** `ValueError` that names the file that cannot be read, has another
-        size, or has no exposure while others have one.
-        """
-        series = open_photographs(paths, encoding, white=white)
-        relative = series.relative_exposures
-        shares = relative.min() / relative
-        self.notes = series.notes
-        self._shape = len(series), *series.size
-        self._spool = Spool(_float_type())
-        for number, photo in ahead(series.read, len(series), DECODED):
-            if (shares == 1).all():
-                self._spool.add(photo.coded, photo.usable)
-            else:
-                self._spool.add(photo.coded.times(shares[number]), photo.unsaturated)
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        return self._shape
-
-
-@final
-class DatasetStack(AbstractPhotographs):
-    """A data set's photographs: see [`open_dataset`][].
-
-    Samples that the data set leaves out are masked. `mask` is true for pixels with at
-    least one sample: if it is given to [`fit_maps`][], the others count as outside.
-
-        data = pf.open_dataset("ballPNG")
-        stack = pf.DatasetStack(data)
-        maps = pf.fit_maps(data.scenes, stack, mask=stack.mask, film=data.film)
-    """
-
-    @checked
-    def __init__(self, photographs: Photographs):
-        """**Arguments:** `photographs`: a data set, of which each file is read once.
-
-        **Raises:** `ValueError` that names the file that is missing or wrong.
-        """
-        camera = photographs.scenes[0].camera
-        self.photographs = photographs
-        self.mask = np.zeros((camera.height, camera.width), bool)
-        self._spool = Spool(_float_type())
-        count = len(photographs.names)
-        for _, (coded, mask) in ahead(photographs.read, count, DECODED):
-            self.mask |= mask if mask.ndim == 2 else mask.any(axis=-1)
-            self._spool.add(coded, mask)
-
-    def with_scenes(self, scenes: Sequence[Scene]) -> "DatasetStack":
-        """The stack with other scenes, without decoding the photographs again."""
-        other = copy.copy(self)
-        other.photographs = dataclasses.replace(self.photographs, scenes=tuple(scenes))
-        return other
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        return len(self.photographs.names), *self.mask.shape
-
-
 class ZarrStack(AbstractCodedStack):
     """Images of a zarr array, version 3, on a disk or an object store.
 
@@ -381,7 +374,7 @@ class ZarrStack(AbstractCodedStack):
     def take_coded(self, pixels: Int[np.ndarray, " n"], order: Sequence[int]) -> Coded:
         width = self.array.shape[2]
         first, last = int(pixels[0]) // width, int(pixels[-1]) // width + 1
-        rows = RectangleStack(self.read_coded((slice(first, last), slice(width))))
+        rows = ArrayStack(self.read_coded((slice(first, last), slice(width))))
         return rows.take_coded(pixels - first * width, order)
 
     @property
@@ -448,10 +441,10 @@ def _let_go(array: np.ndarray) -> None:
 def _mapping(array: np.ndarray) -> mmap.mmap | None:
     """The memory map that an array is a view of; `None` if it is copy-on-write."""
     base: Any = array
-    while isinstance(base, np.ndarray):
+    while isinstance(base, np.ndarray | memoryview):
         if isinstance(base, np.memmap) and base.mode not in ("r", "r+"):
             return None
-        base = base.base
+        base = base.base if isinstance(base, np.ndarray) else base.obj
     return base if isinstance(base, mmap.mmap) else None
 
 

@@ -233,11 +233,8 @@ def test_positions_in_other_axes_than_the_calibrations(near, tmp_path):
         moved = np.where(there, places + [0, 0, shift], 0)
         np.savez(tmp_path / f"{name}.npz", normals=normals, positions=moved)
     open_captured(folder, "srgb", normals=tmp_path / "own.npz")
-    with pytest.raises(
-        ValueError,
-        match=r"other.npz: expected positions in the axes of"
-        r" the calibration.*moved by \(0, 0, -20\) they would be",
-    ):
+    wanted = "other.npz: expected positions in the axes of the calibration"
+    with pytest.raises(ValueError, match=wanted):
         open_captured(folder, "srgb", normals=tmp_path / "other.npz")
 
 

@@ -46,7 +46,7 @@ WRONG_GLTF = {
     ),
     "past the buffer": (
         _triangle(bufferViews=[{"buffer": 0, "byteOffset": 4, "byteLength": 36}]),
-        r"bufferViews\[0\]: expected bytes up to 40, got 36",
+        r"bufferViews\[0\]: expected bytes 4 to 40, got 36",
     ),
     "no such view": (
         _triangle(accessors=_accessor(bufferView=7)),
@@ -54,7 +54,7 @@ WRONG_GLTF = {
     ),
     "negative": (
         _triangle(accessors=_accessor(count=-1)),
-        r"accessors\[0\].count: expected greater than or equal to 0, got -1",
+        r"accessors\[0\]: strides is incompatible",
     ),
     "Draco": (
         _triangle(extensionsRequired=["KHR_draco_mesh_compression"]),
@@ -64,7 +64,14 @@ WRONG_GLTF = {
         _triangle(nodes=[{"children": [1, 1]}, {"mesh": 0}]),
         r"nodes\[1\]: expected one parent",
     ),
-    "version 1": (_triangle(asset={"version": "1.0"}), "expected glTF version 2"),
+    "before a view": (
+        _triangle(accessors=_accessor(byteOffset=-12)),
+        r"bufferView: expected 24 bytes .*, got 36",
+    ),
+    "no list": (_triangle(nodes={"a": 1}), r"is no valid glTF \(KeyError: 0\)"),
+    "no number": (_triangle(accessors=_accessor(count="3")), "is no valid glTF"),
+    "no key": (_triangle(accessors=[{}]), r"is no valid glTF \(KeyError: 'type'\)"),
+    "version 1": (_triangle(asset={"version": "1.0"}), "expected glTF 2, got '1.0'"),
     "empty": ("", "is no JSON"),
     "cut": ("{", "is no JSON"),
 }
@@ -210,13 +217,3 @@ def test_the_least_whole_number_is_minus_one(tmp_path):
     (tmp_path / "a.gltf").write_text(json.dumps(content))
     mesh = pf.load_mesh(tmp_path / "a.gltf").mesh
     near(mesh.vertices, [[-1, 0, 0], [1, 0, 0], [0, 1, 0]])
-
-
-def test_a_long_list_of_unused_parts_is_cut(tmp_path):
-    content = _triangle(**{f"odd{k}": 1 for k in range(90)})
-    (tmp_path / "a.gltf").write_text(json.dumps(content))
-    with pytest.warns(UserWarning) as said:
-        pf.load_mesh(tmp_path / "a.gltf")
-    (warning,) = said
-    assert "a.gltf: not used: odd0, odd1, " in str(warning.message)
-    assert ", odd19 and 70 others. Put" in str(warning.message)

@@ -127,11 +127,11 @@ def test_a_stack_that_breaks_and_finished_tiles_stay(tmp_path):
 
         taken = 0
 
-        def take(self, pixels, order):
+        def take_coded(self, pixels, order):
             Breaking.taken += 1
             if Breaking.taken == 3:
                 raise ValueError("2.png: cannot be read")
-            return super().take(pixels, order)
+            return super().take_coded(pixels, order)
 
     out = tmp_path / "out"
     with pytest.raises(ValueError, match=r"2\.png: cannot be read"):
