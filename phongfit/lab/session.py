@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import itertools
 import threading
 import time
 from typing import Any
@@ -229,27 +230,21 @@ class Session:
             "scale": scale,
         }
 
-    def warm_up(self, stop: threading.Event) -> None:
-        """Compile programs for the first requests, the likeliest first.
-
-        **Arguments:** `stop`: event that ends the compilation early.
-        """
+    def warm_up(self) -> None:
+        """Compile programs for the first requests, the likeliest first."""
         kinds = ("directional", "point", "spot", "none")
-        looks = [
-            {"light": kind, "specular_model": model, "shading": shading}
-            for shading in ("phong", "gouraud", "flat")
-            for model in ("blinn-phong", "phong")
-            for kind in kinds
-        ]
-        # The fit follows after the kinds of light, which compile quickly.
-        for k, look in enumerate(looks):
-            if stop.is_set():
-                return
-            settings = Settings.model_validate(look)
-            self.picture(PictureRequest(settings=settings))
-            if k + 1 == len(kinds) and not stop.is_set():
-                made = self.make_target(TargetRequest(settings=Settings()))
-                self.fit(FitRequest(settings=Settings(), target=made["target"]))
+        for light in kinds:
+            self.picture(
+                PictureRequest(settings=Settings.model_validate({"light": light}))
+            )
+        made = self.make_target(TargetRequest(settings=Settings()))
+        self.fit(FitRequest(settings=Settings(), target=made["target"]))
+        models = "blinn-phong", "phong"
+        for shading in ("phong", "gouraud", "flat"):
+            for model, light in itertools.product(models, kinds):
+                look = {"light": light, "specular_model": model, "shading": shading}
+                settings = Settings.model_validate(look)
+                self.picture(PictureRequest(settings=settings))
 
     def _keep(self, target: Target) -> dict[str, Any]:
         height, width, _ = target.image.shape
