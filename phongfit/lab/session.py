@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 import itertools
-import threading
 import time
 from typing import Any
 
@@ -100,8 +99,6 @@ class Session:
         self._meshes: Cache[Mesh] = Cache("mesh")
         self._targets: Cache[Target] = Cache("target")
         self._geometry = functools.lru_cache(maxsize=8)(self._trace)
-        # One fit at a time, since it uses all cores.
-        self._fitting = threading.Lock()
 
     def picture(self, request: PictureRequest) -> bytes:
         """A PNG file of the settings, in the frame of the target if there is one.
@@ -209,17 +206,16 @@ class Session:
         surface, gbuffer = self._geometry(_geometry_of(settings), target.frame)
         unknowns = (*DEFAULT_UNKNOWNS, *_unknown_of_light(settings, options))
         used = target.mask & _faces_viewer(gbuffer, options.rim)
-        with self._fitting:
-            start = time.perf_counter()
-            found = fit(
-                make_scene(settings, surface, target.frame),
-                target.image,
-                unknowns=unknowns,
-                mask=used,
-                film=target.film,
-                loss=options.loss,
-            )
-            seconds = time.perf_counter() - start
+        start = time.perf_counter()
+        found = fit(
+            make_scene(settings, surface, target.frame),
+            target.image,
+            unknowns=unknowns,
+            mask=used,
+            film=target.film,
+            loss=options.loss,
+        )
+        seconds = time.perf_counter() - start
         residual, scale = residual_png(np.asarray(found.residuals), used)
         truth = target.truth
         return fit_response(found, truth) | {
