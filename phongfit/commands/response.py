@@ -93,7 +93,7 @@ class _Stored(AbstractImages):
         return read_image(self.paths[number], AS_STORED, white=self.white)
 
 
-def _of_matte(options: Options) -> tuple[list[Path], dict[str, Any]]:
+def _of_matte(options: Options) -> tuple[Sequence[Path], dict[str, Any]]:
     """Photographs of a matte sphere, and their scenes."""
     refuse(options, "exposures", "expected them or --matte, got both")
     data = open_captured(
@@ -113,7 +113,7 @@ def _of_matte(options: Options) -> tuple[list[Path], dict[str, Any]]:
     return [folder / name for name in data.names], {"scenes": data.scenes}
 
 
-def _of_brackets(options: Options) -> tuple[list[Path], dict[str, Any]]:
+def _of_brackets(options: Options) -> tuple[Sequence[Path], dict[str, Any]]:
     """Photographs of one view, and their exposures."""
     refuse(options, "lights", "expected --matte with them, the sphere they shine on")
     paths, exposures = list_photographs(options.photographs), options.exposures
