@@ -36,7 +36,8 @@ PARAMETERS = {
 }
 
 # Style of the report, changed for many small panels: titles above the middle of each.
-STYLE: dict[Any, Any] = REPORT | {
+STYLE: dict[Any, Any] = {
+    **matplotlib.rc_params_from_file(REPORT, use_default_template=False),
     "axes.titlelocation": "center",
     "figure.titlesize": 10,
     "lines.markersize": 4.5,

@@ -176,7 +176,7 @@ def test_every_part_has_its_place():
         ("phongfit/report/page.py", "import optimistix as optx"),
         ("phongfit/report/page.py", "import imageio.v3"),
         ("phongfit/report/page.py", "import uvicorn"),
-        ("phongfit/lab/command.py", "from phongfit.cli import run"),
+        ("phongfit/lab/server.py", "from phongfit.cli import run"),
         ("data_synth/dataset.py", "from optimistix import least_squares"),
         ("data_synth/dataset.py", "import experiments"),
         ("data_synth/dataset.py", "import tests.helpers"),

@@ -33,7 +33,8 @@ class Solution(NamedTuple):
     @property
     def covariance(self) -> Float[np.ndarray, "n n"]:
         """Covariance for residuals of variance 1; 0 for directions without data."""
-        return np.linalg.pinv(self.jacobian.T @ self.jacobian)
+        root = np.linalg.pinv(self.jacobian, rcond=3e-8)
+        return root @ root.T
 
     @property
     def hat(self) -> Float[np.ndarray, " m"]:
@@ -41,39 +42,31 @@ class Solution(NamedTuple):
         return np.vecdot(self.jacobian @ self.covariance, self.jacobian)
 
 
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A JAX function that takes and returns NumPy arrays, in double precision.
+def differentiated(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function that also returns its Jacobian by its first argument, a vector.
 
-    Its compiled programs are freed together with it, so that a process which calibrates
-    many captures does not accumulate them.
+    It takes and returns NumPy arrays, in double precision. Its compiled programs are
+    freed together with it, so that a process which calibrates many captures does not
+    accumulate them.
     """
-    program = jax.jit(function, compiler_options=compiler_options())
 
-    def run(*args: Any) -> Any:
+    def both(values: Any, *args: Any) -> Any:
+        result = function(values, *args)
+        return result, result
+
+    derivative = jax.jacfwd(both, has_aux=True)
+    program = jax.jit(derivative, compiler_options=compiler_options())
+
+    def run(values: Any, *args: Any) -> Any:
         # Python and NumPy numbers have different types: JAX would compile twice.
-        args = jax.tree.map(np.asarray, args)
+        args = jax.tree.map(np.asarray, (np.asarray(values, float), *args))
         with (
             jax.enable_x64(True),
             # Functions that also run in NumPy need NumPy's promotion rules.
             jax.numpy_rank_promotion("allow"),
             jax.numpy_dtype_promotion("standard"),
         ):
-            return jax.tree.map(np.array, program(*args))
-
-    return run
-
-
-def differentiated(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that also returns its Jacobian by its first argument, a vector."""
-
-    def both(values: Any, *args: Any) -> Any:
-        result = function(values, *args)
-        return result, result
-
-    program = compiled(jax.jacfwd(both, has_aux=True))
-
-    def run(values: Any, *args: Any) -> Any:
-        jacobian, value = program(np.asarray(values, float), *args)
+            jacobian, value = jax.tree.map(np.array, program(*args))
         return value, jacobian
 
     return run
@@ -148,7 +141,7 @@ def thinned(
     return mask & kept
 
 
-def clamped_mean(light: Any, sigma: float) -> Any:
+def clamped_mean(light: Any, sigma: Any) -> Any:
     """Mean of noisy light after the clamp at black."""
     from scipy.special import ndtr
 

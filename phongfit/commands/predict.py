@@ -71,16 +71,6 @@ def main(options: Options) -> int:
 
 
 def _numbers(prediction: Prediction, noise: float) -> dict:
-    return {
-        "format": PREDICTION_FORMAT,
-        "version": 1,
-        "labels": list(prediction.labels),
-        "values": prediction.values,
-        "errors": prediction.errors,
-        "covariance": prediction.covariance,
-        "at_bound": prediction.at_bound,
-        "unidentified": prediction.unidentified,
-        "n_samples": prediction.n_samples,
-        "noise": noise,
-        "warnings": list(prediction.warnings),
-    }
+    names = "labels values errors covariance at_bound unidentified n_samples warnings"
+    numbers = {name: getattr(prediction, name) for name in names.split()}
+    return {"format": PREDICTION_FORMAT, "version": 1, "noise": noise, **numbers}

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from tyro.conf import Positional, arg
@@ -68,7 +68,11 @@ def main(options: Options) -> int:
     if options.out.suffix.lower() != ".json":
         raise ValueError(f"out: expected a .json file, got {options.out}")
     with sparing(options.out):
-        found = _of_matte(options) if options.matte else _of_brackets(options)
+        paths, given = _of_matte(options) if options.matte else _of_brackets(options)
+        mask = None if options.mask is None else read_mask(options.mask)
+        photographs, names = _Stored(paths, options.white), [p.name for p in paths]
+        with stage("fitting the response"):
+            found = fit_response(photographs, mask=mask, names=names, **given)
     write_json(options.out, _record(found))
     print(found)
     use = found.encoding if isinstance(found.encoding, str) else options.out
@@ -89,7 +93,8 @@ class _Stored(AbstractImages):
         return read_image(self.paths[number], AS_STORED, white=self.white)
 
 
-def _of_matte(options: Options) -> Response:
+def _of_matte(options: Options) -> tuple[Sequence[Path], dict[str, Any]]:
+    """Photographs of a matte sphere, and their scenes."""
     refuse(options, "exposures", "expected them or --matte, got both")
     data = open_captured(
         options.photographs,
@@ -105,27 +110,22 @@ def _of_matte(options: Options) -> Response:
         )
     folder = options.photographs
     folder = folder if folder.is_dir() else folder.parent
-    with stage("fitting the response"):
-        return fit_response(
-            _Stored([folder / name for name in data.names], options.white),
-            scenes=data.scenes,
-            mask=None if options.mask is None else read_mask(options.mask),
-            names=data.names,
-        )
+    return [folder / name for name in data.names], {"scenes": data.scenes}
 
 
-def _of_brackets(options: Options) -> Response:
+def _of_brackets(options: Options) -> tuple[Sequence[Path], dict[str, Any]]:
+    """Photographs of one view, and their exposures."""
     refuse(options, "lights", "expected --matte with them, the sphere they shine on")
-    paths = list_photographs(options.photographs)
+    paths, exposures = list_photographs(options.photographs), options.exposures
     series = open_photographs(paths, AS_STORED, white=options.white)
-    exposures = options.exposures or tuple(series.relative_exposures.tolist())
-    names = [path.name for path in paths]
-    if options.exposures and len(exposures) != len(paths):
+    if exposures and len(exposures) != len(paths):
+        names = ", ".join(path.name for path in paths)
         raise ValueError(
-            f"exposures: expected {len(paths)}, one for each of {', '.join(names)}, "
+            f"exposures: expected {len(paths)}, one for each of {names}, "
             f"got {len(exposures)}"
         )
-    if not options.exposures:
+    if not exposures:
+        exposures = series.relative_exposures.tolist()
         if np.ptp(exposures) == 0:
             raise ValueError(
                 "exposures: expected --exposures, how much light each photograph got, "
@@ -133,13 +133,7 @@ def _of_brackets(options: Options) -> Response:
             )
         for note in series.notes:
             print(note)
-    with stage("fitting the response"):
-        return fit_response(
-            _Stored(paths, options.white),
-            exposures=exposures,
-            mask=None if options.mask is None else read_mask(options.mask),
-            names=names,
-        )
+    return paths, {"exposures": exposures}
 
 
 def _record(found: Response) -> dict:

@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-import threading
+import itertools
 import time
 from typing import Any
 
@@ -99,8 +99,6 @@ class Session:
         self._meshes: Cache[Mesh] = Cache("mesh")
         self._targets: Cache[Target] = Cache("target")
         self._geometry = functools.lru_cache(maxsize=8)(self._trace)
-        # One fit at a time, since it uses all cores.
-        self._fitting = threading.Lock()
 
     def picture(self, request: PictureRequest) -> bytes:
         """A PNG file of the settings, in the frame of the target if there is one.
@@ -208,17 +206,16 @@ class Session:
         surface, gbuffer = self._geometry(_geometry_of(settings), target.frame)
         unknowns = (*DEFAULT_UNKNOWNS, *_unknown_of_light(settings, options))
         used = target.mask & _faces_viewer(gbuffer, options.rim)
-        with self._fitting:
-            start = time.perf_counter()
-            found = fit(
-                make_scene(settings, surface, target.frame),
-                target.image,
-                unknowns=unknowns,
-                mask=used,
-                film=target.film,
-                loss=options.loss,
-            )
-            seconds = time.perf_counter() - start
+        start = time.perf_counter()
+        found = fit(
+            make_scene(settings, surface, target.frame),
+            target.image,
+            unknowns=unknowns,
+            mask=used,
+            film=target.film,
+            loss=options.loss,
+        )
+        seconds = time.perf_counter() - start
         residual, scale = residual_png(np.asarray(found.residuals), used)
         truth = target.truth
         return fit_response(found, truth) | {
@@ -229,27 +226,21 @@ class Session:
             "scale": scale,
         }
 
-    def warm_up(self, stop: threading.Event) -> None:
-        """Compile programs for the first requests, the likeliest first.
-
-        **Arguments:** `stop`: event that ends the compilation early.
-        """
+    def warm_up(self) -> None:
+        """Compile programs for the first requests, the likeliest first."""
         kinds = ("directional", "point", "spot", "none")
-        looks = [
-            {"light": kind, "specular_model": model, "shading": shading}
-            for shading in ("phong", "gouraud", "flat")
-            for model in ("blinn-phong", "phong")
-            for kind in kinds
-        ]
-        # The fit follows after the kinds of light, which compile quickly.
-        for k, look in enumerate(looks):
-            if stop.is_set():
-                return
-            settings = Settings.model_validate(look)
-            self.picture(PictureRequest(settings=settings))
-            if k + 1 == len(kinds) and not stop.is_set():
-                made = self.make_target(TargetRequest(settings=Settings()))
-                self.fit(FitRequest(settings=Settings(), target=made["target"]))
+        for light in kinds:
+            self.picture(
+                PictureRequest(settings=Settings.model_validate({"light": light}))
+            )
+        made = self.make_target(TargetRequest(settings=Settings()))
+        self.fit(FitRequest(settings=Settings(), target=made["target"]))
+        models = "blinn-phong", "phong"
+        for shading in ("phong", "gouraud", "flat"):
+            for model, light in itertools.product(models, kinds):
+                look = {"light": light, "specular_model": model, "shading": shading}
+                settings = Settings.model_validate(look)
+                self.picture(PictureRequest(settings=settings))
 
     def _keep(self, target: Target) -> dict[str, Any]:
         height, width, _ = target.image.shape

@@ -2,6 +2,7 @@
 
 import dataclasses
 import io
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -44,35 +45,26 @@ def of_material(material: Material) -> str:
     """HTML of a material: a rendered ball, or maps, and its numbers."""
     numbers = {name: np.asarray(getattr(material, name)) for name in SHOWN}
     if max(leaf.ndim for leaf in numbers.values()) > 2:
-        maps = {name: leaf for name, leaf in numbers.items() if leaf.ndim > 2}
-        return fill(
-            "material.html",
-            balls=[
-                {"source": _map(leaf), "alt": f"Map of {name}.", "name": name}
-                for name, leaf in maps.items()
-            ],
-            rows=[(name, [_range(leaf)]) for name, leaf in numbers.items()],
-            names=["from … to"],
-            more=0,
-        )
+        maps = [
+            (_map(leaf), f"Map of {name}.", name)
+            for name, leaf in numbers.items()
+            if leaf.ndim > 2
+        ]
+        ranges = [(name, _range(leaf)) for name, leaf in numbers.items()]
+        return _shown(maps, [([], ranges)])
     every = unstack_materials(material)
     shown = every[:MOST_MATERIALS]
     names = [""] if len(every) == 1 else [f"[{k}]" for k in range(len(shown))]
     balls = [
-        {"source": _ball(one), "alt": f"A ball of material {name}.", "name": name}
+        (_ball(one), f"A ball of material {name}.", name)
         for one, name in zip(shown, names, strict=True)
     ]
     rows = [
-        (name, [_numbers(np.asarray(getattr(one, name))) for one in shown])
+        (name, *(_numbers(np.asarray(getattr(one, name))) for one in shown))
         for name in SHOWN
     ]
-    return fill(
-        "material.html",
-        balls=balls,
-        rows=rows,
-        names=names,
-        more=len(every) - len(shown),
-    )
+    heads = ["", *names] if len(every) > 1 else []
+    return _shown(balls, [(heads, rows)], len(every) - len(shown), "materials")
 
 
 def of_scene(scene: Scene) -> str:
@@ -89,13 +81,28 @@ def of_scene(scene: Scene) -> str:
     if scene.fog is not None:
         colour = _numbers(np.asarray(scene.fog.color))
         facts["fog"] = f"{scene.fog.mode}, colour {colour}"
-    return fill(
-        "scene.html",
-        picture=_shape(scene),
-        facts=facts,
-        lights=[_light_words(light) for light in scene.lights[:MOST_LIGHTS]],
-        more=max(len(scene.lights) - MOST_LIGHTS, 0),
-    )
+    lights = [_light_words(light) for light in scene.lights[:MOST_LIGHTS]]
+    heads = ["light", "where", "intensity (white = 1)"] if lights else []
+    tables = [([], list(facts.items())), (heads, lights or [("no light",)])]
+    picture = _shape(scene), "The surface as the camera sees it, lit from there.", ""
+    return _shown([picture], tables, len(scene.lights) - MOST_LIGHTS, "lights")
+
+
+def _shown(
+    pictures: list[tuple[str, str, str]],
+    tables: Sequence[tuple[Sequence[str], Sequence[tuple[str, ...]]]],
+    more: int = 0,
+    of: str = "",
+) -> str:
+    """HTML of pictures and tables.
+
+    **Arguments:**
+
+    - `pictures`: source, alternative text and caption of each.
+    - `tables`: heads of the columns, and rows.
+    - `more`: number of things, `of` this name, that are not shown.
+    """
+    return fill("shown.html", pictures=pictures, tables=tables, more=more, of=of)
 
 
 def _numbers(leaf: np.ndarray) -> str:
@@ -175,20 +182,13 @@ def _surface_words(surface: AbstractSurface) -> str:
     return words + (f", {surface.materials} materials" if surface.materials > 1 else "")
 
 
-def _light_words(light: AbstractLight) -> dict[str, str]:
+def _light_words(light: AbstractLight) -> tuple[str, str, str]:
     """Kind, position or direction, and intensity of a light, as far as it has these."""
-    parts = vars(light)
-    where = [
-        f"{name} {_vector(np.asarray(parts[name]))}"
-        for name in ("direction", "position", "axis")
-        if name in parts
-    ]
-    intensity = parts.get("intensity")
-    return {
-        "kind": type(light).__name__,
-        "where": ", ".join(where),
-        "intensity": "" if intensity is None else _numbers(np.asarray(intensity)),
-    }
+    parts = {name: np.asarray(part) for name, part in vars(light).items()}
+    places = [name for name in ("direction", "position", "axis") if name in parts]
+    where = ", ".join(f"{name} {_vector(parts[name])}" for name in places)
+    intensity = _numbers(parts["intensity"]) if "intensity" in parts else ""
+    return type(light).__name__, where, intensity
 
 
 def _vector(vector: np.ndarray) -> str:

@@ -5,6 +5,7 @@
 """
 
 import io
+from pathlib import Path
 from typing import Any, Literal
 
 import matplotlib
@@ -21,36 +22,7 @@ CHANNELS = {"red": VERMILION, "green": GREEN, "blue": BLUE}
 # Diverging blue and red, which colour-blind readers can distinguish.
 SIGNED = "RdBu_r"
 
-STYLE: Any = {
-    "font.family": ["DejaVu Sans"],
-    "font.size": 9,
-    "axes.titlesize": 9.5,
-    "axes.titlelocation": "left",
-    "axes.labelsize": 9,
-    "axes.edgecolor": PALE,
-    "axes.labelcolor": INK,
-    "axes.linewidth": 0.7,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": GRID,
-    "grid.linewidth": 0.6,
-    "xtick.color": PALE,
-    "ytick.color": PALE,
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
-    "xtick.labelcolor": INK,
-    "ytick.labelcolor": INK,
-    "text.color": INK,
-    "legend.fontsize": 8,
-    "legend.frameon": False,
-    "lines.linewidth": 1.6,
-    "image.interpolation": "nearest",
-    "figure.facecolor": "white",
-    "axes.facecolor": "white",
-    "figure.dpi": 110,
-}
+STYLE = Path(__file__).with_name("templates") / "figure.mplstyle"
 
 
 class Picture(Figure):
@@ -72,7 +44,7 @@ def picture(
 
 def styled() -> Any:
     """A context that applies the style to figures, and then restores settings."""
-    return matplotlib.rc_context(STYLE)
+    return matplotlib.rc_context(fname=STYLE)
 
 
 def png(figure: Figure, dpi: float) -> bytes:

@@ -31,9 +31,6 @@ COMMANDS: dict[str, Callable[[Path, Path], list[str]]] = {
 }  # fmt: skip
 """A command that reads a data set and writes to `out`."""
 
-READ_IMAGES = ("fit", "one", "maps")
-READ_SCENES = tuple(COMMANDS)
-
 
 def _bomb() -> bytes:
     """A PNG file of a few bytes that says it is 100 000 × 100 000 pixels large."""
@@ -66,8 +63,8 @@ def _truncate(path: Path, size: int) -> None:
 Damage = Callable[[Path], object]
 
 # What else may be broken of them, and the words for it: tests/files.
-DAMAGED_IMAGES: dict[str, tuple[Damage, str]] = {
-    "cut off": (lambda d: _truncate(d / "001.png", 300), "001.png: is broken"),
+DAMAGES: dict[str, tuple[Damage, str]] = {
+    "a cut image": (lambda d: _truncate(d / "001.png", 300), "001.png: is broken"),
     "a bomb": (
         lambda d: (d / "001.png").write_bytes(_bomb()),
         "got 100000 × 100000 pixels",
@@ -77,9 +74,7 @@ DAMAGED_IMAGES: dict[str, tuple[Damage, str]] = {
         lambda d: ((d / "001.png").unlink(), os.mkfifo(d / "001.png")),
         "001.png: is not a file",
     ),
-}
-DAMAGED_SCENES: dict[str, tuple[Damage, str]] = {
-    "cut off": (lambda d: _truncate(d / "scene.json", 200), "scene.json: is no JSON"),
+    "a cut scene": (lambda d: _truncate(d / "scene.json", 200), "json: is no JSON"),
     "binary": (lambda d: (d / "scene.json").write_bytes(b"\xff"), "is no text"),
     "huge camera": (
         lambda d: _edit(d, camera={"kind": "orthographic", "width": 10**6,
@@ -91,8 +86,6 @@ DAMAGED_SCENES: dict[str, tuple[Damage, str]] = {
         lambda d: _edit(d, surface={"kind": "mesh_file", "file": "/etc/passwd"}),
         "scene.json: surface.file: expected ... got '/etc/passwd'",
     ),
-}  # fmt: skip
-LEADING_OUT: dict[str, tuple[Damage, str]] = {
     "a name": (
         lambda d: _edit(d, images=[{"file": "../secret.png"}]),
         "images[0]: expected the name of a file in this folder ... got '../secret.png'",
@@ -103,7 +96,7 @@ LEADING_OUT: dict[str, tuple[Damage, str]] = {
     ),
     "a link": (lambda d: _link(d, "002.png"), "'002.png': is a link that leads out"),
     "a linked scene": (lambda d: _link(d, "scene.json"), "'scene.json': is a link"),
-}
+}  # fmt: skip
 
 
 def _tree(folder: Path) -> dict[str, object]:
@@ -124,35 +117,16 @@ def _check(folder: Path, args: list[str], words: str, capsys) -> None:
     assert _tree(folder) == before
 
 
-IMAGES = [("fit", damage) for damage in DAMAGED_IMAGES]
-IMAGES += [(command, "cut off") for command in READ_IMAGES[1:]]
+# All commands read images by the same function, and scenes.
+CASES = [("fit", damage) for damage in DAMAGES]
+CASES += [(command, "a cut image") for command in ("one", "maps")]
+CASES += [(command, "an unknown key") for command in COMMANDS if command != "fit"]
+CASES += [("maps", damage) for damage in ("a name", "a mask", "a link")]
 
 
-@pytest.mark.parametrize("command, damage", IMAGES)
-def test_damaged_images(copy, tmp_path, capsys, command, damage):
-    harm, words = DAMAGED_IMAGES[damage]
-    harm(copy)
-    _check(tmp_path, COMMANDS[command](copy, tmp_path / "out"), words, capsys)
-
-
-# All commands read them by the same function.
-SCENES = [("fit", damage) for damage in DAMAGED_SCENES]
-SCENES += [(command, "an unknown key") for command in READ_SCENES[1:]]
-
-
-@pytest.mark.parametrize("command, damage", SCENES)
-def test_damaged_scenes(copy, tmp_path, capsys, command, damage):
-    harm, words = DAMAGED_SCENES[damage]
-    harm(copy)
-    _check(tmp_path, COMMANDS[command](copy, tmp_path / "out"), words, capsys)
-
-
-@pytest.mark.parametrize("damage", LEADING_OUT)
-@pytest.mark.parametrize("command", ["fit", "maps"])
-def test_data_sets_that_lead_out_of_their_folder(
-    copy, tmp_path, capsys, command, damage
-):
-    harm, words = LEADING_OUT[damage]
+@pytest.mark.parametrize("command, damage", CASES)
+def test_damaged_data_sets(copy, tmp_path, capsys, command, damage):
+    harm, words = DAMAGES[damage]
     harm(copy)
     _check(tmp_path, COMMANDS[command](copy, tmp_path / "out"), words, capsys)
 
@@ -185,7 +159,7 @@ def test_no_folder_and_no_rights(brass, tmp_path, capsys, monkeypatch, command):
     _check(tmp_path, args, f"the folder {tmp_path} may not be written to", capsys)
 
 
-@pytest.mark.parametrize("command", READ_SCENES)
+@pytest.mark.parametrize("command", COMMANDS)
 def test_files_that_may_not_be_read(brass, tmp_path, capsys, monkeypatch, command):
     def deny(path):
         raise PermissionError(13, "Permission denied", str(path))

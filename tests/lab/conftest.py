@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 import uvicorn
 
-from phongfit.lab.command import configuration, listening
+from phongfit.lab.server import configuration, listening
 from phongfit.lab.session import Session
 
 SIZE = 64

@@ -5,7 +5,7 @@ import pytest
 
 import phongfit as pf
 from phongfit.cli import run
-from phongfit.lab.command import lab
+from phongfit.commands.lab import main
 from phongfit.lab.given import open_given, settings_of
 from phongfit.lab.scene import Frame, make_scene
 from phongfit.lab.session import Session
@@ -148,7 +148,7 @@ def test_bad_options(folder, tmp_path, capsys, options, words):
     pf.write_image(tmp_path / "dark.png", np.zeros((40, 48, 3)), "srgb")
     names = {"folder": folder, "dark": tmp_path / "dark.png"}
     words_given = [option.format(**names) for option in options]
-    assert run(lab, ["--no-browser", "--port", "0", *words_given]) == 2
+    assert run(main, ["--no-browser", "--port", "0", *words_given]) == 2
     err = capsys.readouterr().err
     assert err.startswith("error: ") and words in err and err.count("\n") == 1
 

@@ -139,7 +139,7 @@ def test_the_end_does_not_wait_for_work(session, monkeypatch, capfd):
         with contextlib.suppress(OSError, http.client.HTTPException):
             _post(port, "/api/fit", json.dumps({"settings": {}, "target": "x"}))
 
-    monkeypatch.setattr("phongfit.lab.command.PATIENCE", 0.1)
+    monkeypatch.setattr("phongfit.lab.server.PATIENCE", 0.1)
     monkeypatch.setattr(session, "fit", fit)
     asked = threading.Thread(target=ask)
     try:

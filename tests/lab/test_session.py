@@ -1,7 +1,6 @@
 """Pictures, targets and fits, without a server."""
 
 import re
-import threading
 
 import imagecodecs
 import numpy as np
@@ -220,11 +219,3 @@ def test_an_outline_that_the_frame_cuts_off():
 
 def _dark(shape: tuple[int, int]) -> np.ndarray:
     return np.full((*shape, 3), 51, np.uint8)
-
-
-def test_warming_up_stops_when_told(session):
-    stop = threading.Event()
-    stop.set()
-    before = session._geometry.cache_info()
-    session.warm_up(stop)
-    assert session._geometry.cache_info() == before

@@ -142,6 +142,7 @@ def _without_server() -> Iterator[None]:
     with (
         mock.patch("uvicorn.Server.run"),
         mock.patch("phongfit.lab.session.Session.warm_up"),
+        mock.patch("phongfit.commands.lab.leave_work_behind"),
         mock.patch("webbrowser.open"),
     ):
         yield

@@ -107,7 +107,7 @@ def _server() -> tuple[int, _Log]:
     import uvicorn
 
     from phongfit.lab import intake
-    from phongfit.lab.command import configuration, listening
+    from phongfit.lab.server import configuration, listening
     from phongfit.lab.session import Session
 
     intake.HEAD_SECONDS = intake.PAUSE_SECONDS = HEAD_SECONDS

@@ -7,7 +7,9 @@ import pytest
 import uvicorn
 
 from phongfit.cli import run
-from phongfit.lab.command import lab, listening
+from phongfit.commands import lab
+from phongfit.lab.server import listening
+from phongfit.lab.session import Session
 from tests.helpers import said
 
 
@@ -20,7 +22,7 @@ from tests.helpers import said
     ],
 )
 def test_bad_options(options, words, capsys):
-    assert run(lab, ["--no-browser", *options]) == 2
+    assert run(lab.main, ["--no-browser", *options]) == 2
     printed = capsys.readouterr()
     assert printed.out == "" and printed.err.count("\n") == 1
     assert printed.err.startswith("error: ") and said(words, printed.err)
@@ -29,7 +31,7 @@ def test_bad_options(options, words, capsys):
 def test_a_port_that_is_taken(capsys):
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
-        assert run(lab, ["--no-browser", "--port", str(port)]) == 2
+        assert run(lab.main, ["--no-browser", "--port", str(port)]) == 2
     told = capsys.readouterr().err
     assert f"127.0.0.1, {port}" in told and "--port 0" in told
 
@@ -39,7 +41,7 @@ def test_what_it_needs_is_missing(monkeypatch, capsys):
     monkeypatch.setattr(
         importlib.util, "find_spec", lambda n: None if n == "uvicorn" else find(n)
     )
-    assert run(lab, ["--no-browser", "--port", "0"]) == 2
+    assert run(lab.main, ["--no-browser", "--port", "0"]) == 2
     assert "uvicorn not installed: pip install 'phongfit[lab]'" in (
         capsys.readouterr().err
     )
@@ -56,8 +58,10 @@ def test_it_starts_and_stops(monkeypatch, capsys, host):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(uvicorn.Server, "run", serve)
+    monkeypatch.setattr(lab, "leave_work_behind", lambda: None)
+    monkeypatch.setattr(Session, "warm_up", lambda session: None)
     options = ["--no-browser", "--port", "0", "--resolution", "64", "--host", host]
-    assert run(lab, options) == 0
+    assert run(lab.main, options) == 0
     printed = capsys.readouterr()
     ((address, port),) = opened
     assert address == host and f"http://127.0.0.1:{port}/" in printed.out
@@ -66,7 +70,7 @@ def test_it_starts_and_stops(monkeypatch, capsys, host):
 
 
 def test_help(capsys):
-    assert run(lab, ["--help"], prog="phongfit lab") == 0
+    assert run(lab.main, ["--help"], prog="phongfit lab") == 0
     text = capsys.readouterr().out
     assert "--host" in text and "this machine" in text
 
