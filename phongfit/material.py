@@ -21,6 +21,9 @@ class Material(eqx.Module):
     $$I = \text{emission} + I_a \rho_a + \sum_{\text{lights}} I_s (\rho_d \max(s \cdot
     m, 0) + \rho_s \cos^f)$$
 
+    with the ambient light $I_a$, a light's intensity $I_s$ and direction $s$, and the
+    normal $m$; the scene's specular model defines the cosine.
+
     Every parameter has shape () (one number for all channels) or ends in a colour axis
     of 1 or 3: (3,) is one material, (M, 3) is M materials, (H, W, 3) is a map.
     """
@@ -73,7 +76,7 @@ class Material(eqx.Module):
 
 
 def _written(value: Any) -> str:
-    """A parameter as text: numbers and RGB to four digits, larger arrays as a shape."""
+    """A parameter as text: numbers and RGB to four digits, others as type and shape."""
     if not eqx.is_array_like(value):
         # JAX transformations may put placeholders in place of arrays.
         return repr(value)
@@ -121,7 +124,9 @@ def stack_materials(materials: Iterable[Material]) -> Material:
 def unstack_materials(material: Material, count: int | None = None) -> list[Material]:
     """The inverse of [`stack_materials`][]: one `Material` for each row.
 
-    **Arguments:** `count`: number of materials; default that of the parameters.
+    **Arguments:** `count`: number of materials, at most 65 536; default the largest
+    number of rows of a parameter. A parameter of one row or of shape () or (3,) belongs
+    to all materials.
 
     **Raises:** `ValueError` for a parameter of another number of rows, and for a map.
     """
@@ -148,6 +153,7 @@ def unstack_materials(material: Material, count: int | None = None) -> list[Mate
 
 
 PRESETS = tuple(OPENGL_MATERIALS)
+"""Names that [`preset`][] accepts."""
 
 
 @checked
