@@ -185,7 +185,7 @@ def as_covariance(name: str, value: Any) -> Float[np.ndarray, "n n"]:
 
 
 def as_function(name: str, value: Any) -> Any:
-    """A function as a pytree without functions among its leaves, as `jax.jit` needs.
+    """The function `value` as a pytree whose leaves are arrays, as `jax.jit` needs.
 
     A plain function becomes a `jax.tree_util.Partial`, which is static; the arrays of a
     callable `equinox.Module` stay arrays, so that they have gradients.

@@ -106,7 +106,10 @@ def _run(args: list[str]) -> int | None:
 
 @contextlib.contextmanager
 def _memory(args: list[str]) -> Iterator[None]:
-    """Remove `--max-memory SIZE` from `args`; the limit holds within the context."""
+    """Remove `--max-memory SIZE` from `args`; the limit holds within the context.
+
+    **Raises:** `ValueError` that names the option, if SIZE is not a size such as 4G.
+    """
     before = os.environ.get(budget.SWITCH)
     for at, word in enumerate(args):
         name, equals, size = word.partition("=")

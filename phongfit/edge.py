@@ -204,7 +204,7 @@ def _sequence_kind(part: Any) -> Kind:
 
 
 def _mapping_kind(key: Any, part: Any) -> Kind:
-    """The kind of a mapping with annotated keys and values."""
+    """The kind of a mapping whose keys and values are annotated with these."""
     key_kind, value_kind = kind_of(key), kind_of(part)
     words = "a mapping of names"
     if value_kind is not None:

@@ -58,6 +58,7 @@ class Fog(eqx.Module):
         self.density = at_least("density", as_scalar("density", density), 0)
         self.start = as_scalar("start", start)
         self.end = as_scalar("end", end)
+        # Traced depths cannot be compared here.
         known = not any(isinstance(x, Tracer) for x in (self.start, self.end))
         if mode == "linear" and known and self.start == self.end:
             raise ValueError(f"end: expected a depth other than start, got {end}")

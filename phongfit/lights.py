@@ -117,8 +117,8 @@ def brighter(light: AbstractLight, factor: Any) -> AbstractLight:
     ]
     if "intensity" not in names:
         raise ValueError(
-            f"lights: expected an intensity to multiply, and {type(light).__name__} "
-            "has none"
+            f"lights: expected lights with an intensity, got a {type(light).__name__}, "
+            "which has none"
         )
 
     def parts(light: AbstractLight) -> list[Any]:
@@ -382,7 +382,7 @@ class HarmonicLight(AbstractLight):
 def _from_bulb(
     light: PointLight | SpotLight, position: Vec3, spot: Scalar | float = 1.0
 ) -> Illumination:
-    """Light of a bulb that arrives at `position`, world units.
+    """Light of a point light or spot that arrives at `position`, world units.
 
     **Arguments:** `spot`: fraction of the light that a hood sends in this direction.
     """

@@ -136,7 +136,7 @@ class GGX(AbstractSpecular):
         return jnp.asarray(self.roughness) ** 4
 
     def peak(self, shininess: Float[Array, "..."]) -> Float[Array, "..."]:
-        r"""Height of the highlight seen head-on: $F_0 / 4 \alpha^2$."""
+        r"""Lobe with light and viewer along the normal: $F_0 / 4 \alpha^2$."""
         return self.f0 / (4 * self.alpha_squared(shininess))
 
 
@@ -190,7 +190,7 @@ class Ward(AbstractSpecular):
         return jnp.asarray(self.alpha) ** 2
 
     def peak(self, shininess: Float[Array, "..."]) -> Float[Array, "..."]:
-        r"""Height of the highlight seen head-on: $1 / 4 \alpha^2$."""
+        r"""Lobe with light and viewer along the normal: $1 / 4 \alpha^2$."""
         return 1 / (4 * self.alpha_squared(shininess))
 
 

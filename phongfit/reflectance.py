@@ -38,7 +38,7 @@ def lambert(normal: Vec3, to_light: Vec3) -> Scalar:
 
 
 def mirror(normal: Vec3, to_light: Vec3) -> Vec3:
-    r"""Direction $r = 2 (s \cdot m) m - s$ of the ideal reflection of a light.
+    r"""Direction $r = 2 (s \cdot m) m - s$ in which a mirror would reflect a light.
 
     **Arguments:** as in [`lambert`][]. **Returns:** a unit vector.
     """

@@ -93,6 +93,9 @@ def _check_precision(
 ) -> None:
     """Check that a function can be traced in float64.
 
+    **Arguments:** `rebuild`, `start`: from a vector to the function's argument, and the
+    vector of the point.
+
     **Raises:** `ValueError` with the reason if it cannot: mostly arrays of single
     precision that the function closes over.
     """
@@ -164,8 +167,8 @@ def _contract(output: Float[Array, "..."]) -> Scalar:
     """Sum of the entries with fixed random weights; of one entry, the entry itself."""
     if output.dtype != jnp.float64:
         raise ValueError(
-            f"function: returned {output.dtype} for float64 input, which finite "
-            "differences cannot be distinguished from"
+            f"function: expected float64 for float64 input, got {output.dtype}, whose "
+            "rounding would exceed the differences that are allowed"
         )
     if output.size == 1:
         return output.reshape(())

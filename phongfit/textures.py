@@ -153,14 +153,15 @@ def texels(
     rows, columns = size
     u, v = uv[..., 0], uv[..., 1]
     if wrap == "repeat":
-        # Reduced to [0, 1) before all else: large u and v have few digits for the
-        # texel.
+        # Reduced to [0, 1) first: multiplied by the size, large u and v would leave few
+        # digits for the place in a texel.
         u, v = u - jnp.floor(u), v - jnp.floor(v)
     x, y = _rounded(u * columns), _rounded(v * rows)
 
-    def wrapped(at: Array, count: int) -> Array:
-        at = at.astype(jnp.int32)
-        return at % count if wrap == "repeat" else jnp.clip(at, 0, count - 1)
+    def wrapped(index: Array, count: int) -> Array:
+        """Row or column inside the image for one that may be outside."""
+        index = index.astype(jnp.int32)
+        return index % count if wrap == "repeat" else jnp.clip(index, 0, count - 1)
 
     if filter == "nearest":
         index = wrapped(jnp.floor(y), rows) * columns + wrapped(jnp.floor(x), columns)

@@ -279,7 +279,8 @@ def _rq(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     from scipy.linalg import rq
 
     triangle, rotation = rq(matrix)
-    # SciPy's diagonal may be negative: change signs of its columns and R's rows alike.
+    # SciPy's diagonal may be negative: then a column of the triangle and the row of the
+    # rotation that it multiplies change sign together.
     signs = np.sign(np.diag(triangle))
     return triangle * signs, signs[:, None] * rotation
 

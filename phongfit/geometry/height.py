@@ -42,7 +42,7 @@ class HeightField:
         return positions_at(self.height, self.camera)
 
     def mesh(self) -> Mesh:
-        """A mesh with two triangles for each 2 × 2 pixels, which face the camera.
+        """A mesh with two triangles, facing the camera, for each 2 × 2 pixels.
 
         Triangles with a corner outside the mask are left out.
 

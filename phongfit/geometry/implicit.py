@@ -131,21 +131,22 @@ class ImplicitSurface(AbstractSurface):
         near, far = jax.lax.stop_gradient((near, far))
         through = far > near
         near, far = jnp.where(through, near, 0), jnp.where(through, far, 1)
-        width = (far - near) / self.steps
+        length = (far - near) / self.steps
 
         def value(distance: Scalar) -> Scalar:
             return self.function(ray.at(distance))
 
         def step(carry: tuple[Array, Array, Array], i: Array) -> tuple[Any, None]:
+            # `entry`: end of the step that enters; `last`: F at the step's start.
             has_entered, entry, last = carry
-            end = near + (i + 1).astype(near.dtype) * width
+            end = near + (i + 1).astype(near.dtype) * length
             now = value(end)
             enters = ~has_entered & (last > 0) & (now <= 0)
             return (has_entered | enters, jnp.where(enters, end, entry), now), None
 
         start = (jnp.array(False), far, value(near))
         (has_entered, entry, _), _ = jax.lax.scan(step, start, jnp.arange(self.steps))
-        return has_entered & through, entry - width, entry
+        return has_entered & through, entry - length, entry
 
     def _polish(self, ray: Ray, distance: Scalar, hit: Bool[Array, ""]) -> Scalar:
         r"""Improve `distance` by a Newton step; derivatives of every order are exact.

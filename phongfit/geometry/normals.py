@@ -71,6 +71,7 @@ def vertex_normals(
     normals = jax.vmap(face_normal)(*corners)
     total = jnp.zeros_like(vertices)
     for k in range(3):
+        # Twice the area of a face is the length of its `face_normal`.
         contribution = normals
         if weighting == "angle":
             here, following, preceding = (corners[(k + i) % 3] for i in range(3))
@@ -147,7 +148,7 @@ def split_creases(
 def parametric_normal(
     function: Callable[[Scalar, Scalar], Vec3], u: Scalar, v: Scalar
 ) -> Vec3:
-    r"""Unit normal $\partial p / \partial u \times \partial p / \partial v$.
+    r"""Unit normal, along $\partial p / \partial u \times \partial p / \partial v$.
 
     **Arguments:** `function`: (u, v) → p, in world units; `u`, `v`: parameters of the
     point.

@@ -138,5 +138,6 @@ def _cell_faces(columns: int, rows: int) -> np.ndarray:
 
     `grid_faces` has y down; here v is up, so the faces run the other way round.
     """
+    # Each triangle with its second and third corner exchanged.
     lower, upper = np.split(grid_faces(rows + 1, columns + 1)[:, [0, 2, 1]], 2)
     return np.concatenate([upper, lower])

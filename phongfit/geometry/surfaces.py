@@ -45,6 +45,7 @@ class GBuffer(eqx.Module):
         size = self.mask.shape
 
         def at(array: Any) -> Any:
+            """Entries of the chosen pixels; `None` stays `None`."""
             if array is None:
                 return None
             return array.reshape(-1, *array.shape[len(size) :])[pixels]
