@@ -20,18 +20,18 @@ SETTINGS = (
 )
 # Limit of the cache in bytes. Above it the oldest entries are deleted, down to half.
 MAX_BYTES = 2**30
-# Name of a file whose time stamp is that of the last check (older entries have been
-# checked), and the longest time that writing an entry may take, seconds.
+# A file whose time stamp is the time of the last check: entries older than it have been
+# checked. And the longest time that writing an entry may take, seconds.
 STAMP_FILE, WRITE_SECONDS = ".looked-at", 60.0
 
 
 def cache_folder() -> Path | None:
-    """Folder of compiled programs; `None` if caching is switched off."""
-    wanted = os.environ.get(SWITCH)
-    if wanted == "off":
+    """Folder of compiled programs, by default; `None` if `PHONGFIT_CACHE` is `off`."""
+    setting = os.environ.get(SWITCH)
+    if setting == "off":
         return None
-    if wanted:
-        return Path(wanted)
+    if setting:
+        return Path(setting)
     home = os.environ.get("XDG_CACHE_HOME")
     return (Path(home) if home else Path("~/.cache").expanduser()) / "phongfit"
 
@@ -71,7 +71,11 @@ def cache_environment() -> dict[str, str]:
 
 
 def _configure(folder: Path | None) -> None:
-    """Set JAX's options to use this folder, if it exists and is private."""
+    """Create a folder and set JAX's options to use it.
+
+    Nothing is set for `None`, nor if the folder cannot be created or written to; nor,
+    with a warning, if others may write to it.
+    """
     if folder is None:
         return
     try:
@@ -93,6 +97,7 @@ def _configure(folder: Path | None) -> None:
     with contextlib.suppress(OSError):
         tidy(folder)
     warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation")
+    # 0 s and −1 byte: programs of any compile time and any size are kept.
     for name, value in zip(SETTINGS, (str(folder), 0.0, -1), strict=True):
         jax.config.update(name, value)
 
@@ -100,16 +105,18 @@ def _configure(folder: Path | None) -> None:
 def _is_private(folder: Path) -> bool:
     """Whether only this user and root may write to a folder."""
     status = folder.stat()
+    # Windows has no `geteuid`: there the owner counts as this user.
     users = {getattr(os, "geteuid", lambda: status.st_uid)(), 0}
     return status.st_uid in users and not status.st_mode & 0o022
 
 
 def tidy(folder: Path) -> None:
-    """Remove damaged entries, and the oldest ones if the cache exceeds its limit.
+    """Remove damaged entries; if the cache exceeds `MAX_BYTES`, the oldest ones, too.
 
     JAX writes an entry in place. If the process is killed meanwhile, the damaged entry
     can never be read and is never replaced. Each entry is checked once.
     """
+    # Younger entries may still be being written: the next call checks them.
     before, stamp = time.time() - WRITE_SECONDS, folder / STAMP_FILE
     since = stamp.stat().st_mtime if stamp.exists() else 0.0
     entries = {path: path.stat() for path in folder.glob("*-cache")}
@@ -129,9 +136,12 @@ def tidy(folder: Path) -> None:
 
 
 def _is_whole(entry: bytes) -> bool:
-    """Whether a compressed cache entry can be decompressed."""
+    """Whether a cache entry is undamaged: whether zlib can decompress it.
+
+    Entries compressed by zstandard count as undamaged without a check.
+    """
     if entry.startswith(b"\x28\xb5\x2f\xfd"):
-        # Compressed by zstandard, which is not installed everywhere: not checked.
+        # The mark of zstandard, which is not installed everywhere.
         return True
     try:
         zlib.decompress(entry)

@@ -24,7 +24,7 @@ NOISE = 1e-12, 1e12
 
 
 def unmasked(name: str, value: Any) -> None:
-    """Raise a `ValueError` for a masked array: conversion would drop its mask."""
+    """Raise a `ValueError` if `value` is masked: conversion would drop its mask."""
     if isinstance(value, np.ma.MaskedArray):
         raise ValueError(f"{name}: expected an array without a mask, got a masked one")
 
@@ -35,13 +35,17 @@ def is_noise(values: Any) -> Any:
 
 
 def as_floats(name: str, value: Any) -> Float[Array, "..."]:
-    """`value` as an array of the default float type; `ValueError` names `name`."""
+    """`value` as an array of JAX's default float type; `ValueError` names `name`.
+
+    Any shape; NaN and infinity are accepted.
+    """
     wanted = jnp.result_type(float)
     unmasked(name, value)
     try:
         # Through NumPy, which compiles nothing, unless the list contains a tracer.
         given = isinstance(value, Array)
         array = value if given else (jnp if is_traced(value) else np).asarray(value)
+        # Kind V includes bfloat16. Text and objects raise JAX's error.
         if array.dtype.kind not in "bfiucV":
             array = jnp.asarray(value)
     except Exception as error:
@@ -56,7 +60,7 @@ def as_floats(name: str, value: Any) -> Float[Array, "..."]:
 
 
 def as_array(name: str, value: Any) -> np.ndarray:
-    """`value` as a NumPy array of any type; `ValueError` names `name`."""
+    """`value` as a NumPy array of any type and shape; `ValueError` names `name`."""
     try:
         return np.asarray(value)
     except Exception as error:
@@ -64,7 +68,7 @@ def as_array(name: str, value: Any) -> np.ndarray:
 
 
 def as_vector(name: str, value: Any) -> Float[Array, "3"]:
-    """`value` as a vector of shape (3,); `ValueError` names `name`."""
+    """`value` as a finite vector of shape (3,); `ValueError` names `name`."""
     array = as_floats(name, value)
     if array.shape != (3,):
         raise ValueError(f"{name}: expected shape (3,), got {array.shape}")
@@ -80,7 +84,7 @@ def as_scalar(name: str, value: Any) -> Float[Array, ""]:
 
 
 def as_positive(name: str, value: Any, below: float = np.inf) -> Float[Array, ""]:
-    """`value` as one number > 0 and < `below`; `ValueError` names `name`."""
+    """`value` as one finite number > 0 and < `below`; `ValueError` names `name`."""
 
     def inside(a: Any) -> Any:
         return (a > 0) & (a < below)
@@ -90,7 +94,10 @@ def as_positive(name: str, value: Any, below: float = np.inf) -> Float[Array, ""
 
 
 def as_light(name: str, value: Any) -> Float[Array, "3"]:
-    """`value`, one number or three, as RGB light of shape (3,), finite and ≥ 0."""
+    """`value`, one number or three, as RGB light of shape (3,), finite and ≥ 0.
+
+    **Raises:** `ValueError` that names `name`.
+    """
     array = as_floats(name, value)
     if array.shape not in ((), (1,), (3,)):
         raise ValueError(f"{name}: expected shape () or (3,), got {array.shape}")
@@ -98,7 +105,10 @@ def as_light(name: str, value: Any) -> Float[Array, "3"]:
 
 
 def as_reflectance(name: str, value: Any) -> Float[Array, "..."]:
-    """`value` as an array ≥ 0 whose shape is () or ends in 1 or 3, the colour axis."""
+    """`value` as an array ≥ 0 whose shape is () or ends in 1 or 3, the colour axis.
+
+    **Raises:** `ValueError` that names `name`, also for numbers that are not finite.
+    """
     array = as_floats(name, value)
     if array.ndim > 0 and array.shape[-1] not in (1, 3):
         raise ValueError(
@@ -112,7 +122,8 @@ def as_reflectance(name: str, value: Any) -> Float[Array, "..."]:
 def as_integers(name: str, value: Any, lowest: int, below: float) -> np.ndarray:
     """`value` as known whole numbers in [lowest, below); `ValueError` names `name`.
 
-    Returns a NumPy array: these numbers are static in compiled programs.
+    Returns a NumPy array, since these numbers are static in compiled programs. Its type
+    is int32, so numbers must also be below 2³¹.
     """
     if isinstance(value, Tracer):
         raise ValueError(f"{name}: expected known numbers, got a traced array")
@@ -136,7 +147,10 @@ def as_indices(
 ) -> tuple[Int[Array, "..."] | None, int]:
     """`value` as material indices of `shape`, and the number of materials.
 
-    `None` stands for a single material: the result is (`None`, 1).
+    The number is the largest index plus 1. `None` stands for a single material: the
+    result is (`None`, 1).
+
+    **Raises:** `ValueError` that names `name`.
     """
     if value is None:
         return None, 1
@@ -148,6 +162,11 @@ def as_indices(
 
 def as_covariance(name: str, value: Any) -> Float[np.ndarray, "n n"]:
     """`value` as a covariance matrix: finite, symmetric, positive semidefinite.
+
+    Deviations of up to 1e-6 of the largest entry count as rounding; the result is made
+    symmetric.
+
+    **Arguments:** `value`: numbers of shape (n, n), which the caller has checked.
 
     **Raises:** `ValueError` that names `name`.
     """
@@ -166,10 +185,12 @@ def as_covariance(name: str, value: Any) -> Float[np.ndarray, "n n"]:
 
 
 def as_function(name: str, value: Any) -> Any:
-    """A function as a pytree without functions among its leaves, as `jax.jit` needs.
+    """The function `value` as a pytree whose leaves are arrays, as `jax.jit` needs.
 
     A plain function becomes a `jax.tree_util.Partial`, which is static; the arrays of a
     callable `equinox.Module` stay arrays, so that they have gradients.
+
+    **Raises:** `ValueError` that names `name` if `value` cannot be called.
     """
     if not callable(value):
         raise ValueError(f"{name}: expected a function, got {value!r}")
@@ -191,7 +212,10 @@ def at_least(name: str, array: Array, lowest: float) -> Array:
 
 
 def nonzero(name: str, vector: Float[Array, "3"]) -> Float[Array, "3"]:
-    """Return `vector`, or raise an error that names `name` if it has no direction."""
+    """Return `vector`, or raise an error that names `name` if it has no direction.
+
+    That is a zero vector, or one whose squared length underflows or overflows.
+    """
 
     def fine(a: Any) -> Any:
         # Its square must neither underflow nor overflow in this precision.

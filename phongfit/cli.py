@@ -63,8 +63,9 @@ SHELLS = ("bash", "zsh")
 
 Result = TypeVar("Result")
 
+# Exit statuses; as in a shell, a signal's is 128 plus its number (SIGPIPE is 13).
 BAD_INPUT = 2
-PIPE_CLOSED = 141
+PIPE_CLOSED = 128 + 13
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -90,7 +91,10 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _run(args: list[str]) -> int | None:
-    """Run a command; `--max-memory` and `--version` are handled here."""
+    """Run a command and return its exit status; `None` stands for 0.
+
+    `--max-memory` and `--version` are handled here.
+    """
     with _memory(args):
         if args and args[0] in COMMANDS:
             return _execute(_parse(_load(args[0]), args[1:], f"phongfit {args[0]}"))
@@ -102,7 +106,10 @@ def _run(args: list[str]) -> int | None:
 
 @contextlib.contextmanager
 def _memory(args: list[str]) -> Iterator[None]:
-    """Remove `--max-memory SIZE` from `args`; the limit holds within the context."""
+    """Remove `--max-memory SIZE` from `args`; the limit holds within the context.
+
+    **Raises:** `ValueError` that names the option, if SIZE is not a size such as 4G.
+    """
     before = os.environ.get(budget.SWITCH)
     for at, word in enumerate(args):
         name, equals, size = word.partition("=")
@@ -123,7 +130,7 @@ def _memory(args: list[str]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _repeated_interrupts() -> Iterator[None]:
-    """Repeat a Ctrl-C that Python would otherwise swallow.
+    """Within the context, repeat a Ctrl-C that Python would otherwise swallow.
 
     The garbage collector calls functions of JAX. If Ctrl-C arrives there, Python prints
     the exception and goes on, so the command would not stop.
@@ -144,7 +151,10 @@ def _repeated_interrupts() -> Iterator[None]:
 
 
 class _Ended(KeyboardInterrupt):
-    """A signal other than Ctrl-C that ends the process."""
+    """A signal other than Ctrl-C that ends the process: `number` is the signal's.
+
+    It is handled where `KeyboardInterrupt` is.
+    """
 
     def __init__(self, number: int):
         super().__init__()
@@ -153,9 +163,11 @@ class _Ended(KeyboardInterrupt):
 
 @contextlib.contextmanager
 def _clean_up_on_signals() -> Iterator[None]:
-    """Clean up after SIGTERM and SIGHUP as after Ctrl-C.
+    """Within the context, SIGTERM and SIGHUP raise an exception, as Ctrl-C does.
 
-    A signal that was ignored before, for example by `nohup`, stays ignored.
+    So commands clean up before the process ends. A signal that was ignored before, for
+    example by `nohup`, stays ignored. Threads other than the main one cannot set
+    handlers: there nothing changes.
     """
 
     def end(number: int, frame: Any) -> None:
@@ -177,19 +189,22 @@ def _clean_up_on_signals() -> Iterator[None]:
 
 
 def _escape_unprintable() -> None:
-    """Write characters that the terminal cannot show as escapes, without an error."""
+    """Let output escape characters that its encoding lacks, instead of failing."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
 
 
 def _load(name: str) -> Callable[..., int | None]:
-    """The function that runs a command."""
+    """Import a command's module; return the function that runs the command."""
     return getattr(commands, name).main
 
 
 def _overview(args: Sequence[str]) -> None:
-    """Print the help on all commands, or raise an error for an unknown command."""
+    """Print the help on all commands, or the script for `--completion`.
+
+    **Raises:** `ValueError` for no command, or an unknown one.
+    """
     if not args:
         raise ValueError(
             f"expected one of {', '.join(COMMANDS)}, got none (see --help)"
@@ -201,6 +216,8 @@ def _overview(args: Sequence[str]) -> None:
         hint = f"did you mean {near[0]!r}?" if near else f"one of {', '.join(COMMANDS)}"
         raise ValueError(f"there is no command {args[0]!r}; {hint} (see --help)")
 
+    # The parser makes the help from functions: one with a docstring for each command,
+    # and one whose parameters are the options of all commands.
     def named(summary: str) -> Callable[[], None]:
         def command() -> None: ...
 
@@ -216,6 +233,7 @@ def _overview(args: Sequence[str]) -> None:
 def _subcommands(
     functions: dict[str, Callable[..., Any]], args: Sequence[str] | None
 ) -> Any:
+    """Parse the name of a command and its options with tyro; return its result."""
     return tyro.extras.subcommand_cli_from_dict(
         functions, prog="phongfit", description=ABOUT, args=args
     )
@@ -233,6 +251,7 @@ def _complete(args: Sequence[str]) -> None:
 
 
 def _show_warning(message: Warning | str, *where: Any) -> None:
+    """Print a warning on one line, without category and line of code."""
     del where
     print(f"warning: {_on_one_line(str(message))}", file=sys.stderr, flush=True)
 
@@ -269,7 +288,11 @@ def _execute(call: Callable[[], int | None]) -> int | None:
 
 
 def _guard(call: Callable[[], int | None]) -> int:
-    """Make a call and return its exit status; bad input is reported in one line."""
+    """Make a call and return its exit status.
+
+    `ValueError`, `OSError` and lack of memory are reported in one line with status 2;
+    other exceptions are raised.
+    """
     try:
         return call() or 0
     except SystemExit as stop:
@@ -292,6 +315,7 @@ def _guard(call: Callable[[], int | None]) -> int:
 
 
 def _stop(message: str, status: int) -> int:
+    """Print an error message, and return `status`."""
     print(f"error: {_on_one_line(message)}", file=sys.stderr, flush=True)
     return status
 
@@ -305,6 +329,7 @@ def _on_one_line(message: str) -> str:
 
 
 def _explain(error: OSError) -> str:
+    """The message of an error: the file, and what the system reports of it."""
     if error.filename is None or error.strerror is None:
         return str(error)
     return f"{os.fsdecode(error.filename)}: {error.strerror}"
@@ -326,7 +351,10 @@ def _quietly(
     args: Sequence[str] | None,
     kind: Callable[..., Any],
 ) -> Result:
-    """Parse the options of `kind`; an error of the parser becomes a `ValueError`."""
+    """Return `parse(args)`; an error of the parser becomes a `ValueError`.
+
+    **Arguments:** `kind`: the function or dataclass whose parameters are the options.
+    """
     from phongfit.commands.complaints import in_one_line, on_parse_error, options_of
 
     error_output = io.StringIO()
@@ -348,7 +376,10 @@ def _quietly(
 def _call(
     function: Callable[..., int | None], parse: Callable[..., Any]
 ) -> Callable[[], int | None]:
-    """A call of a command's function, with arguments that `parse` reads."""
+    """The call of a command's function, not yet made, with the parsed options.
+
+    **Arguments:** `parse`: `tyro.cli`, with the words of the command line bound.
+    """
     about, kind = inspect.getdoc(function), _parsed(function)
     if kind is not function:
         # The dataclass itself is parsed: options are named --bits, not --options.bits.

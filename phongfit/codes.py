@@ -105,7 +105,7 @@ _CODE = re.compile(r" \[([a-z]+(?:-[a-z]+)*)\]$")
 
 
 def coded(code: str, found: str, remedy: str | None = None) -> str:
-    """A warning in one line.
+    """A warning in one line: what is wrong, what to try, and the code in brackets.
 
     **Arguments:**
 
@@ -117,7 +117,10 @@ def coded(code: str, found: str, remedy: str | None = None) -> str:
 
 
 def warn(code: str, found: str, remedy: str | None = None, *, stacklevel: int) -> None:
-    """Python's own `warnings.warn`, with the words of [`coded`][]."""
+    """Call Python's `warnings.warn` with the text of [`coded`][].
+
+    **Arguments:** `stacklevel`: as for `warnings.warn`: 1 is the line of this call.
+    """
     warnings.warn(coded(code, found, remedy), stacklevel=stacklevel + 1)
 
 
@@ -145,7 +148,7 @@ def paragraph(code: str) -> str:
 
 @functools.cache
 def _site() -> str | None:
-    """The address that the package states for its documentation, if it states one."""
+    """URL of the documentation, from the package's metadata; `None` if it has none."""
     try:
         stated = importlib.metadata.metadata("phongfit").get_all("Project-URL") or []
     except importlib.metadata.PackageNotFoundError:

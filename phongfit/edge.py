@@ -29,7 +29,7 @@ SHOWN = 60
 
 
 class Kind(NamedTuple):
-    """A kind of argument: its description for messages, and a test of values."""
+    """A kind of argument: its description, which completes "expected …", and a test."""
 
     words: str
     holds: Callable[[Any], bool]
@@ -73,20 +73,27 @@ def check_fields(record: Any) -> None:
 
 @functools.cache
 def _of_class(record: type) -> "_Kinds":
+    """The kinds of a dataclass's fields, read once for each class."""
     return _Kinds(record)
 
 
 class _Kinds:
-    """Kinds of a function's arguments, read from its annotations at the first call."""
+    """Kinds of a function's arguments or a class's fields, from their annotations.
 
-    def __init__(self, of: Any):
-        self._of = of
+    Annotations are read at the first check, when all names in them are defined.
+    """
+
+    def __init__(self, annotated: Any):
+        self._annotated = annotated
         self._kinds: dict[str, Kind | None] | None = None
 
     def check(self, name: str, value: Any) -> Any:
-        """Check one argument, and return it as the function gets it."""
+        """Check one argument, and return it: an iterator as a tuple, others unchanged.
+
+        **Raises:** `ValueError` that names the argument.
+        """
         if self._kinds is None:
-            hints = inspect.get_annotations(inspect.unwrap(self._of))
+            hints = inspect.get_annotations(inspect.unwrap(self._annotated))
             self._kinds = {key: kind_of(hint) for key, hint in hints.items()}
         kind = self._kinds.get(name)
         if kind is None:
@@ -118,7 +125,7 @@ def shown(value: Any) -> str:
 
 
 def kind_of(hint: Any) -> Kind | None:
-    """The kind that an annotation allows; `None` where nothing is checked."""
+    """The kind of value that an annotation allows; `None` if any value passes."""
     origin, parts = typing.get_origin(hint), typing.get_args(hint)
     if origin in (typing.Union, types.UnionType):
         return _any_of(parts)
@@ -149,6 +156,7 @@ def kind_of(hint: Any) -> Kind | None:
 
 
 def _any_of(parts: tuple[Any, ...]) -> Kind | None:
+    """The kind of a union of annotations; `None` if one of them allows any value."""
     # `str` beside a path is described as a path.
     paths = [part for part in parts if typing.get_origin(part) is os.PathLike]
     kinds = [kind_of(part) for part in parts if not (paths and part is str)]
@@ -160,11 +168,14 @@ def _any_of(parts: tuple[Any, ...]) -> Kind | None:
 
 
 def _either(words: list[str]) -> str:
+    """A list in words: "a, b or c"."""
     *most, last = words
     return f"{', '.join(most)} or {last}" if most else last
 
 
 def _choice_test(choices: tuple[Any, ...]) -> Callable[[Any], bool]:
+    """Test whether a value is one of these texts and whole numbers."""
+
     def holds(value: Any) -> bool:
         # Arrays and unhashable values are not compared, which could raise.
         return isinstance(value, str | int | np.integer) and value in choices
@@ -182,8 +193,9 @@ def _sequence_kind(part: Any) -> Kind:
         if isinstance(values, str | bytes | Mapping | Iterator | Tracer):
             return False
         if isinstance(values, np.ndarray | jax.Array):
-            known = isinstance(values, np.ndarray) or _is_real(values)
-            values = values.tolist() if known else None
+            # JAX's arrays of complex numbers or random keys are rejected.
+            has_list = isinstance(values, np.ndarray) or _is_real(values)
+            values = values.tolist() if has_list else None
         return isinstance(values, Iterable) and (
             entry_kind is None or all(entry_kind.holds(value) for value in values)
         )
@@ -192,7 +204,7 @@ def _sequence_kind(part: Any) -> Kind:
 
 
 def _mapping_kind(key: Any, part: Any) -> Kind:
-    """The kind of a mapping with annotated keys and values."""
+    """The kind of a mapping whose keys and values are annotated with these."""
     key_kind, value_kind = kind_of(key), kind_of(part)
     words = "a mapping of names"
     if value_kind is not None:
@@ -209,6 +221,7 @@ def _mapping_kind(key: Any, part: Any) -> Kind:
 
 
 def _is_path(value: Any) -> bool:
+    """Whether a value is a path without null characters, which systems reject."""
     return isinstance(value, str | os.PathLike) and "\0" not in str(value)
 
 
@@ -221,6 +234,7 @@ def _is_real(value: Any) -> bool:
 
 
 def _is_array(value: Any) -> bool:
+    """Whether a value is an array of real numbers without a mask, or one number."""
     if isinstance(value, int):
         # JAX converts Python's integers to 32 bits.
         return -(2**31) <= value < 2**31
@@ -231,7 +245,10 @@ def _is_array(value: Any) -> bool:
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value is one real number and not NaN; a traced one may be NaN."""
+    """Whether a value is one real number and not NaN; a traced one may be NaN.
+
+    Python's whole numbers may have at most 64 bits.
+    """
     if isinstance(value, int):
         return _fits(value)
     if isinstance(value, float):
@@ -242,15 +259,18 @@ def is_number(value: Any) -> bool:
 
 
 def _is_whole(value: Any) -> bool:
+    """Whether a value is a known whole number of at most 64 bits, and not a Boolean."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     return whole and _fits(int(value))
 
 
 def _fits(number: int) -> bool:
+    """Whether a whole number fits in 64 bits, with sign."""
     return -(2**63) <= number < 2**63
 
 
 def _is_flag(value: Any) -> bool:
+    """Whether a value is a known Boolean, or the whole number 0 or 1."""
     if isinstance(value, int):
         return value in (0, 1)
     if not _is_real(value) or np.ndim(value) or isinstance(value, Tracer):
@@ -258,6 +278,7 @@ def _is_flag(value: Any) -> bool:
     return value.dtype.kind == "b"
 
 
+# `collections.abc.Callable`, as `typing.get_origin` returns it for annotations.
 _CALLABLE = typing.get_origin(Callable[[], None])
 _PLAIN: dict[Any, Kind] = {
     str: Kind("text", lambda value: isinstance(value, str)),

@@ -20,7 +20,8 @@ class Fog(eqx.Module):
     $$I = f\,I_\text{surface} + (1 - f)\,C \qquad f = \frac{e - z}{e - s},
     \quad e^{-\rho z} \quad\text{or}\quad e^{-(\rho z)^2}$$
 
-    with $f$ cut to [0, 1]: `"linear"`, `"exp"` and `"exp2"`.
+    for the modes `"linear"`, `"exp"` and `"exp2"`, with $f$ cut to [0, 1]. $C$ is the
+    fog's `color`, $s$ its `start`, $e$ its `end` and $\rho$ its `density`.
 
     ??? cite "Source"
         Segal and Akeley, *The OpenGL graphics system, version 1.5*, section 3.10.
@@ -44,11 +45,11 @@ class Fog(eqx.Module):
     ):
         r"""**Arguments:**
 
-        - `color`: $C$, RGB or one number.
+        - `color`: RGB or one number.
         - `mode`: `"linear"`, `"exp"` or `"exp2"`.
-        - `density`: $\rho$ ≥ 0, per world unit, of the two exponential modes.
-        - `start`, `end`: depths, world units, between which linear fog sets in;
-            different from each other.
+        - `density`: ≥ 0, per world unit; used by the two exponential modes only.
+        - `start`, `end`: depths at which linear fog begins and hides everything, world
+            units; used by `"linear"` only, for which they must differ.
 
         **Raises:** `ValueError` that names the argument.
         """
@@ -57,6 +58,7 @@ class Fog(eqx.Module):
         self.density = at_least("density", as_scalar("density", density), 0)
         self.start = as_scalar("start", start)
         self.end = as_scalar("end", end)
+        # Traced depths cannot be compared here.
         known = not any(isinstance(x, Tracer) for x in (self.start, self.end))
         if mode == "linear" and known and self.start == self.end:
             raise ValueError(f"end: expected a depth other than start, got {end}")
@@ -64,7 +66,8 @@ class Fog(eqx.Module):
     def transmittance(self, depth: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
         """Fraction in [0, 1] of the surface's light that reaches the camera.
 
-        **Arguments:** `depth` along the viewing axis, world units.
+        **Arguments:** `depth`: distance from the camera along its viewing axis, world
+        units.
         """
         if self.mode == "linear":
             fraction = (self.end - depth) / (self.end - self.start)

@@ -1,7 +1,8 @@
 """Lights: the direction and the colours of the light that arrives at a point.
 
-A light knows no material. Its own `ambient` and `specular` colours are those of OpenGL:
-0 and the same as `intensity` unless given.
+A light has no parameters of materials. As in OpenGL it has a colour for each term:
+`intensity` for the diffuse one, `specular` (by default the intensity) and `ambient` (by
+default 0).
 """
 
 import abc
@@ -48,8 +49,9 @@ class AbstractLight(eqx.Module):
     """Base class of lights: `illuminate` gives the [`Illumination`][] of one point.
 
     Some lights have a sharp edge, such as the rim of a spot's cone. `covers` is true
-    for points inside of it; `jumps` names the fields that move the edge only. The light
-    at a point is not continuous in these fields, so it has no derivative there.
+    for points inside of it; `jumps` names the fields that only move the edge. The light
+    at a point jumps as they change, so derivatives with respect to them are zero or
+    undefined.
 
     Light from all around has `directed = False`, and `surround` gives its RGB.
     """
@@ -58,7 +60,7 @@ class AbstractLight(eqx.Module):
     directed: ClassVar[bool] = True
 
     def covers(self, position: Vec3) -> Bool[Array, ""]:
-        """Whether a light reaches `position` (world units): a spot, inside its cone."""
+        """Whether `position` (world units) is inside of the light's edge, if any."""
         del position
         return jnp.array(True)
 
@@ -67,7 +69,10 @@ class AbstractLight(eqx.Module):
         """Direction and light that arrives at `position` (world units)."""
 
     def surround(self, normal: Vec3) -> Vec3:
-        """RGB that comes from all around to the diffuse term of a unit normal."""
+        """RGB for the diffuse term from all around, where the unit normal is `normal`.
+
+        Zero for lights with a direction.
+        """
         return jnp.zeros_like(normal)
 
 
@@ -79,7 +84,10 @@ def _arriving(
     ambient: Vec3,
     distance: Scalar,
 ) -> Illumination:
-    """Light of which this fraction arrives; `specular` is `intensity` by default."""
+    """The light that arrives at a point: `fraction` times the light's colours.
+
+    **Arguments:** `specular`: `None` stands for `intensity`.
+    """
     specular = intensity if specular is None else specular
     return Illumination(
         to_light,
@@ -90,12 +98,13 @@ def _arriving(
     )
 
 
-def _own_colour(name: str, value: Any) -> Vec3 | None:
+def _as_colour(name: str, value: Any) -> Vec3 | None:
+    """`value` as RGB light; `None`, which stands for a light's intensity, is kept."""
     return None if value is None else as_light(name, value)
 
 
 def brighter(light: AbstractLight, factor: Any) -> AbstractLight:
-    """A copy of a light with all its colours multiplied by `factor`.
+    """A copy of a light whose intensity, specular and ambient colour are multiplied.
 
     **Arguments:** `factor`: a number, or RGB.
 
@@ -108,8 +117,8 @@ def brighter(light: AbstractLight, factor: Any) -> AbstractLight:
     ]
     if "intensity" not in names:
         raise ValueError(
-            f"lights: expected an intensity to multiply, and {type(light).__name__} "
-            "has none"
+            f"lights: expected lights with an intensity, got a {type(light).__name__}, "
+            "which has none"
         )
 
     def parts(light: AbstractLight) -> list[Any]:
@@ -137,15 +146,17 @@ class DirectionalLight(AbstractLight):
     ):
         """**Arguments:**
 
-        - `direction`: from the scene *to* the light; any length but 0.
-        - `intensity`: RGB, or one number for all three.
-        - `specular`, `ambient`: own colours, RGB; default `intensity` and 0.
+        - `direction`: from the scene *to* the light, in the world's axes; any length
+            but 0.
+        - `intensity`: RGB ≥ 0, or one number for all three.
+        - `specular`, `ambient`: RGB or one number, for the specular and the ambient
+            term; default `intensity` and 0.
 
         **Raises:** `ValueError` for a zero direction or a negative colour.
         """
         self.direction = nonzero("direction", as_vector("direction", direction))
         self.intensity = as_light("intensity", intensity)
-        self.specular = _own_colour("specular", specular)
+        self.specular = _as_colour("specular", specular)
         self.ambient = as_light("ambient", ambient)
 
     def illuminate(self, position: Vec3) -> Illumination:
@@ -157,6 +168,7 @@ class DirectionalLight(AbstractLight):
 
 
 def _as_attenuation(value: Any) -> Vec3:
+    """`value` as three attenuation coefficients ≥ 0, not all 0; else `ValueError`."""
     attenuation = at_least("attenuation", as_vector("attenuation", value), 0)
 
     def some(a: Any) -> Any:
@@ -166,6 +178,7 @@ def _as_attenuation(value: Any) -> Vec3:
 
 
 def _attenuation(coefficients: Vec3, distance: Scalar) -> Scalar:
+    """The factor 1 / (a0 + a1 d + a2 d²) on light at a distance d, in world units."""
     constant, linear, quadratic = coefficients
     denominator = constant + linear * distance + quadratic * distance**2
     positive = denominator > 0
@@ -175,7 +188,7 @@ def _attenuation(coefficients: Vec3, distance: Scalar) -> Scalar:
 
 
 class PointLight(AbstractLight):
-    r"""A bulb: light falls off as $1 / (a_0 + a_1 d + a_2 d^2)$."""
+    r"""A bulb: light falls off with distance d as $1 / (a_0 + a_1 d + a_2 d^2)$."""
 
     position: Float[Array, "3"]
     attenuation: Float[Array, "3"]
@@ -195,17 +208,18 @@ class PointLight(AbstractLight):
         """**Arguments:**
 
         - `position`: world units.
-        - `intensity`: RGB, or one number for all three.
-        - `attenuation`: $a_0, a_1, a_2$ per 1, world unit and its square; all ≥ 0, not
-            all 0. The default does not fall off.
-        - `specular`, `ambient`: own colours, RGB; default `intensity` and 0.
+        - `intensity`: RGB ≥ 0, or one number for all three.
+        - `attenuation`: $a_0$ without unit, $a_1$ per world unit and $a_2$ per square
+            of it; all ≥ 0, not all 0. The default does not fall off.
+        - `specular`, `ambient`: RGB or one number, for the specular and the ambient
+            term; default `intensity` and 0.
 
         **Raises:** `ValueError` that names the argument.
         """
         self.position = as_vector("position", position)
         self.intensity = as_light("intensity", intensity)
         self.attenuation = _as_attenuation(attenuation)
-        self.specular = _own_colour("specular", specular)
+        self.specular = _as_colour("specular", specular)
         self.ambient = as_light("ambient", ambient)
 
     def illuminate(self, position: Vec3) -> Illumination:
@@ -214,6 +228,8 @@ class PointLight(AbstractLight):
 
 class SpotLight(AbstractLight):
     r"""A point light in a hood: $\cos^e$ of the angle from its axis, 0 past the cutoff.
+
+    It falls off with distance as a [`PointLight`][] does.
 
     ??? cite "Source"
         Segal and Akeley, *The OpenGL graphics system, version 1.5*, section 2.14.1.
@@ -245,10 +261,11 @@ class SpotLight(AbstractLight):
         """**Arguments:**
 
         - `position`: world units.
-        - `axis`: the way the lamp shines, any length but 0.
-        - `intensity`: RGB, or one number for all three.
+        - `axis`: from the light towards the scene, in the world's axes: the middle of
+            the cone. Any length but 0.
+        - `intensity`: RGB ≥ 0, or one number for all three.
         - `cutoff`: half the cone's angle in degrees, in (0, 90].
-        - `exponent`: how the light falls off from the axis to the cutoff, ≥ 0.
+        - `exponent`: $e$ ≥ 0; 0 is even light inside the cone.
         - `attenuation`, `specular`, `ambient`: as in [`PointLight`][].
 
         **Raises:** `ValueError` that names the argument.
@@ -265,7 +282,7 @@ class SpotLight(AbstractLight):
         self.exponent = at_least("exponent", as_scalar("exponent", exponent), 0)
         self.intensity = as_light("intensity", intensity)
         self.attenuation = _as_attenuation(attenuation)
-        self.specular = _own_colour("specular", specular)
+        self.specular = _as_colour("specular", specular)
         self.ambient = as_light("ambient", ambient)
 
     def illuminate(self, position: Vec3) -> Illumination:
@@ -280,8 +297,9 @@ class SpotLight(AbstractLight):
         return dot(normalize(position - self.position), normalize(self.axis))
 
 
-# Norms of the real harmonics up to order 2: 1; x, y, z; xy, yz, xz; 3z² − 1; x² − y².
-# And the factors A_l / π with which Lambert's cosine multiplies each order.
+# Norms of the real harmonics up to order 2: _Y0 of 1; _Y1 of x, y, z; _Y2 of xy, yz and
+# xz; _Y20 of 3z² − 1; _Y22 of x² − y². And the factors A_l / π by order l, with which
+# Lambert's cosine multiplies them.
 _Y0, _Y1 = math.sqrt(1 / (4 * math.pi)), math.sqrt(3 / (4 * math.pi))
 _Y2 = math.sqrt(15 / (4 * math.pi))
 _Y20, _Y22 = _Y2 / math.sqrt(12), _Y2 / 2
@@ -317,7 +335,8 @@ class HarmonicLight(AbstractLight):
 
         - `coefficients`: $L_{00}$; $L_{1,-1}$, $L_{10}$, $L_{11}$ (of y, z, x);
             $L_{2,-2}$, $L_{2,-1}$, $L_{20}$, $L_{21}$, $L_{22}$ (of xy, yz, 3z² − 1,
-            xz, x² − y²), in the world's axes: (9, 3) RGB, or (9,) for all channels.
+            xz, x² − y²), in the world's axes: (9, 3) RGB, or (9,) or (9, 1) for all
+            channels.
             Light of 1 from everywhere, which shows white as 1, is $L_{00} =
             \sqrt{4\pi}$ alone.
 
@@ -335,33 +354,38 @@ class HarmonicLight(AbstractLight):
 
     def illuminate(self, position: Vec3) -> Illumination:
         none = jnp.zeros_like(position)
-        # Light from all around has no direction; shadow rays need a unit vector.
+        # Light from all around has no direction; shadow rays need a unit vector. It has
+        # no effect, since no light comes from there.
         nowhere = jnp.array([0, 0, 1], position.dtype)
         far = jnp.full((), jnp.inf, position.dtype)
         return Illumination(nowhere, none, none, none, far)
 
     def surround(self, normal: Vec3) -> Vec3:
         x, y, z = normal
-        zero, one, two = _LAMBERT
-        band = two * _Y2
+        # The order of `basis` is that of the coefficients.
+        order_0, order_1, order_2 = _LAMBERT
+        band = order_2 * _Y2
         basis = (
-            zero * _Y0 * jnp.ones_like(x),
-            *(one * _Y1 * part for part in (y, z, x)),
+            order_0 * _Y0 * jnp.ones_like(x),
+            *(order_1 * _Y1 * part for part in (y, z, x)),
             *(band * part for part in (x * y, y * z)),
-            two * _Y20 * (3 * z * z - 1),
+            order_2 * _Y20 * (3 * z * z - 1),
             band * x * z,
-            two * _Y22 * (x * x - y * y),
+            order_2 * _Y22 * (x * x - y * y),
         )
         total = jnp.zeros_like(normal)
-        for fraction, light in zip(basis, self.coefficients, strict=True):
-            total = total + fraction * light
+        for value, light in zip(basis, self.coefficients, strict=True):
+            total = total + value * light
         return jnp.maximum(total, 0)
 
 
 def _from_bulb(
     light: PointLight | SpotLight, position: Vec3, spot: Scalar | float = 1.0
 ) -> Illumination:
-    """Light that arrives from a position, times the fraction `spot` sent this way."""
+    """Light of a point light or spot that arrives at `position`, world units.
+
+    **Arguments:** `spot`: fraction of the light that a hood sends in this direction.
+    """
     offset = light.position - position
     distance = norm(offset)
     fraction = spot * _attenuation(light.attenuation, distance)

@@ -21,6 +21,9 @@ class Material(eqx.Module):
     $$I = \text{emission} + I_a \rho_a + \sum_{\text{lights}} I_s (\rho_d \max(s \cdot
     m, 0) + \rho_s \cos^f)$$
 
+    with the ambient light $I_a$, a light's intensity $I_s$ and direction $s$, and the
+    normal $m$; the scene's specular model defines the cosine.
+
     Every parameter has shape () (one number for all channels) or ends in a colour axis
     of 1 or 3: (3,) is one material, (M, 3) is M materials, (H, W, 3) is a map.
     """
@@ -73,7 +76,7 @@ class Material(eqx.Module):
 
 
 def _written(value: Any) -> str:
-    """A parameter as text: numbers and RGB to four digits, larger arrays as a shape."""
+    """A parameter as text: numbers and RGB to four digits, others as type and shape."""
     if not eqx.is_array_like(value):
         # JAX transformations may put placeholders in place of arrays.
         return repr(value)
@@ -92,7 +95,7 @@ def stack_materials(materials: Iterable[Material]) -> Material:
     **Returns:** all materials as one, in order. The exponent has shape (M, 3) if any
     material has an exponent for each channel, else (M, 1).
 
-    **Raises:** `ValueError` if there are none, or one is a map.
+    **Raises:** `ValueError` if there are none, or one is a map (H, W, 3).
     """
     materials = list(materials)
     if not materials:
@@ -102,6 +105,7 @@ def stack_materials(materials: Iterable[Material]) -> Material:
     xp: Any = jnp if is_traced(materials) else np
 
     def rows(material: Material) -> list[Any]:
+        """Parameters of shape (M, 1) or (M, 3), with the same M for all of them."""
         leaves = [xp.atleast_2d(leaf) for leaf in jax.tree.leaves(material)]
         if any(leaf.ndim > 2 for leaf in leaves):
             raise ValueError("materials: expected single materials, got a map")
@@ -109,6 +113,7 @@ def stack_materials(materials: Iterable[Material]) -> Material:
         return [xp.broadcast_to(leaf, (count, leaf.shape[1])) for leaf in leaves]
 
     def stack(*leaves: Any) -> Array:
+        """One parameter of all materials, with as many channels as any of them has."""
         channels = max(leaf.shape[1] for leaf in leaves)
         spread = [xp.broadcast_to(leaf, (len(leaf), channels)) for leaf in leaves]
         return jnp.asarray(xp.concatenate(spread))
@@ -121,9 +126,12 @@ def stack_materials(materials: Iterable[Material]) -> Material:
 def unstack_materials(material: Material, count: int | None = None) -> list[Material]:
     """The inverse of [`stack_materials`][]: one `Material` for each row.
 
-    **Arguments:** `count`: number of materials; default that of the parameters.
+    **Arguments:** `count`: number of materials, at most 65 536; default the largest
+    number of rows of a parameter. A parameter of one row or of shape () or (3,) belongs
+    to all materials.
 
-    **Raises:** `ValueError` for a parameter of another number of rows, and for a map.
+    **Raises:** `ValueError` for a parameter of another number of rows, and for a map
+    (H, W, 3).
     """
     rows_of_parameters = [
         len(leaf) for leaf in jax.tree.leaves(material) if leaf.ndim == 2
@@ -133,6 +141,7 @@ def unstack_materials(material: Material, count: int | None = None) -> list[Mate
         raise ValueError(f"count: expected a number from 1 to {2**16}, got {count}")
 
     def row(leaf: Array, i: int) -> Array:
+        """A parameter's value for material `i`, of shape (), (1,) or (3,)."""
         if leaf.ndim < 2:
             return leaf
         if leaf.ndim > 2 or len(leaf) not in (1, count):
@@ -148,6 +157,7 @@ def unstack_materials(material: Material, count: int | None = None) -> list[Mate
 
 
 PRESETS = tuple(OPENGL_MATERIALS)
+"""Names that [`preset`][] accepts."""
 
 
 @checked

@@ -21,7 +21,8 @@ class Cosines(NamedTuple):
 
     - `half`: $m \cdot h$; 0 where light or viewer is behind the surface.
     - `slope`: $\tan^2$ of the angle between m and h, to full relative precision near 0.
-    - `light`, `viewer`: $m \cdot s$ and $m \cdot v$.
+    - `light`, `viewer`: $m \cdot s$ and $m \cdot v$, for unit vectors s to the light
+        and v to the viewer; negative from behind.
     - `difference`: $v \cdot h$.
     """
 
@@ -33,7 +34,10 @@ class Cosines(NamedTuple):
 
 
 def cosines(normal: Vec3, to_light: Vec3, to_viewer: Vec3) -> Cosines:
-    """The cosines of one point and one light. **Arguments:** unit vectors."""
+    """The cosines of one point and one light.
+
+    **Arguments:** unit vectors that point away from the surface.
+    """
     half = halfway(to_light, to_viewer)
     light, viewer = dot(normal, to_light), dot(normal, to_viewer)
     cosine = dot(normal, half)
@@ -101,7 +105,9 @@ class GGX(AbstractSpecular):
 
         **Raises:** `ValueError` that names the argument.
         """
-        self.roughness = None if roughness is None else _width("roughness", roughness)
+        self.roughness = (
+            None if roughness is None else _as_roughness("roughness", roughness)
+        )
         self.f0 = _between("f0", f0, 0)
 
     def cosine(self, normal: Vec3, to_light: Vec3, to_viewer: Vec3) -> Cosines:
@@ -113,24 +119,24 @@ class GGX(AbstractSpecular):
         seen, at = _facing(cosine)
         a2 = self.alpha_squared(shininess)
         # π D, written with tan²: 1 − cos² would lose digits near the centre.
-        facets = a2 / (at.half**2 * (a2 + at.slope)) ** 2
+        distribution = a2 / (at.half**2 * (a2 + at.slope)) ** 2
         masked = at.light * jnp.sqrt(at.viewer**2 * (1 - a2) + a2)
         shadowed = at.viewer * jnp.sqrt(at.light**2 * (1 - a2) + a2)
         fresnel = self.f0 + (1 - self.f0) * (1 - at.difference) ** 5
-        height = facets * fresnel * at.light / (2 * (masked + shadowed))
+        height = distribution * fresnel * at.light / (2 * (masked + shadowed))
         return jnp.where(seen, height, 0)
 
     def diffuse_scale(self) -> float:
         return 1.0
 
     def alpha_squared(self, shininess: Float[Array, "..."]) -> Float[Array, "..."]:
-        r"""$\alpha^2$ of the given roughness, or else of the exponent."""
+        r"""$\alpha^2$ of the model's roughness if it has one, else of `shininess`."""
         if self.roughness is None:
-            return _facets(shininess)
+            return _alpha_squared(shininess)
         return jnp.asarray(self.roughness) ** 4
 
     def peak(self, shininess: Float[Array, "..."]) -> Float[Array, "..."]:
-        r"""Height of the highlight seen head-on: $F_0 / 4 \alpha^2$."""
+        r"""Lobe with light and viewer along the normal: $F_0 / 4 \alpha^2$."""
         return self.f0 / (4 * self.alpha_squared(shininess))
 
 
@@ -141,8 +147,8 @@ class Ward(AbstractSpecular):
     \sqrt{\frac{m \cdot s}{m \cdot v}} \qquad \cos \delta = m \cdot h$$
 
     with the given $\alpha$ or, by default, $\alpha^2 = 2 / (f + 2)$ with the exponent
-    of each material. $\rho_s$ is the share of light sent back, nearly so for
-    small $\alpha$ and away from grazing light, where Ward's formula sends back more.
+    of each material. $\rho_s$ is the reflected fraction of light, nearly so for small
+    $\alpha$ and away from grazing light, of which Ward's formula reflects more.
 
     ??? cite "Source"
         Ward, *Measuring and modeling anisotropic reflection*, SIGGRAPH 1992, equation
@@ -156,12 +162,12 @@ class Ward(AbstractSpecular):
     @checked
     def __init__(self, alpha: Any = None):
         r"""**Arguments:** `alpha`: roughness, the root mean square slope of a surface,
-        in (0, 1]; one value for all materials. By default it follows from each
+        from 0.0001 to 1; one value for all materials. By default it follows from each
         material's exponent.
 
         **Raises:** `ValueError` that names the argument.
         """
-        self.alpha = None if alpha is None else _width("alpha", alpha)
+        self.alpha = None if alpha is None else _as_roughness("alpha", alpha)
 
     def cosine(self, normal: Vec3, to_light: Vec3, to_viewer: Vec3) -> Cosines:
         return cosines(normal, to_light, to_viewer)
@@ -178,18 +184,18 @@ class Ward(AbstractSpecular):
         return 1.0
 
     def alpha_squared(self, shininess: Float[Array, "..."]) -> Float[Array, "..."]:
-        r"""$\alpha^2$ of the given $\alpha$, or else of the exponent."""
-        return (
-            _facets(shininess) if self.alpha is None else jnp.asarray(self.alpha) ** 2
-        )
+        r"""$\alpha^2$ of the model's $\alpha$ if it has one, else of `shininess`."""
+        if self.alpha is None:
+            return _alpha_squared(shininess)
+        return jnp.asarray(self.alpha) ** 2
 
     def peak(self, shininess: Float[Array, "..."]) -> Float[Array, "..."]:
-        r"""Height of the highlight seen head-on: $1 / 4 \alpha^2$."""
+        r"""Lobe with light and viewer along the normal: $1 / 4 \alpha^2$."""
         return 1 / (4 * self.alpha_squared(shininess))
 
 
-def _facets(shininess: Any) -> Any:
-    r"""$\alpha^2$ of the distribution with the same peak as Blinn's."""
+def _alpha_squared(shininess: Any) -> Any:
+    r"""$\alpha^2$ of microfacets whose distribution peaks as high as Blinn's."""
     return 2 / (shininess + 2)
 
 
@@ -197,7 +203,7 @@ def _facets(shininess: Any) -> Any:
 def roughness_from_shininess(shininess: Float[Array, "..."]) -> Float[Array, "..."]:
     r"""Roughness of GGX for a Blinn exponent: $(2 / (f + 2))^{1/4}$.
 
-    The distributions of facets of Blinn's and GGX's models then have the same peak,
+    The distributions of microfacet normals of both models then have the same peak,
     $D = (f + 2) / 2\pi = 1 / \pi\alpha^2$, and the same integral,
     $\int D\,(m \cdot h)\,dh = 1$. Their shapes differ: GGX falls faster near the
     peak, by up to 0.16 of it, and has a longer tail. For narrow highlights its width at
@@ -210,21 +216,29 @@ def roughness_from_shininess(shininess: Float[Array, "..."]) -> Float[Array, "..
     ??? cite "Source"
         Karis, *Specular BRDF reference*, 2013.
     """
-    return _facets(shininess) ** 0.25
+    return _alpha_squared(shininess) ** 0.25
 
 
 @checked
 def shininess_from_roughness(roughness: Float[Array, "..."]) -> Float[Array, "..."]:
-    r"""The inverse of [`roughness_from_shininess`][]: $f = 2 / \alpha^2 - 2$."""
+    r"""The inverse of [`roughness_from_shininess`][]: $f = 2 / \alpha^2 - 2$.
+
+    **Arguments:** `roughness`: as in glTF, $\sqrt\alpha$, in (0, 1], any shape.
+
+    **Returns:** Blinn exponents ≥ 0.
+    """
     return 2 / roughness**4 - 2
 
 
-def _width(name: str, value: Any) -> Scalar:
+def _as_roughness(name: str, value: Any) -> Scalar:
+    """`value` as a roughness from 0.0001 to 1; else `ValueError`."""
     # The eighth power of 1e-4 is still a normal number in single precision.
     return _between(name, value, 1e-4)
 
 
 def _between(name: str, value: Any, low: float) -> Scalar:
+    """`value` as one number from `low` to 1; else a `ValueError` that names `name`."""
+
     def fine(a: Any) -> Any:
         return (a >= low) & (a <= 1)
 

@@ -31,5 +31,8 @@ MOVED = {
 
 
 def warn_deprecated(words: str) -> None:
-    """Warn the caller's caller that a name or an argument will be removed."""
+    """Warn that a name or an argument will be removed.
+
+    The warning shows the line that called the caller of this function.
+    """
     warnings.warn(words, DeprecationWarning, stacklevel=3)

@@ -13,9 +13,10 @@ def plain(value: Any) -> Any:
     """Convert a value to JSON's types: lists, dictionaries, numbers, text.
 
     Arrays become lists of the shortest decimals that round to the same floats. Paths
-    become text. NaN and infinity become `None`, since JSON does not have them.
+    become text, and so do keys. NaN and infinity become `None`, since JSON does not
+    have them.
 
-    **Raises:** `TypeError` for types that JSON cannot hold.
+    **Raises:** `TypeError` for types that JSON cannot hold, such as complex numbers.
     """
     if isinstance(value, jax.Array | np.ndarray | np.generic):
         return _plain_array(np.asarray(value))
@@ -29,7 +30,7 @@ def plain(value: Any) -> Any:
         return value
     if isinstance(value, os.PathLike):
         return os.fspath(value)
-    raise TypeError(f"{type(value).__name__} has no place in JSON")
+    raise TypeError(f"{type(value).__name__} cannot be written as JSON")
 
 
 def readable(name: str) -> str:
@@ -38,6 +39,7 @@ def readable(name: str) -> str:
 
 
 def _plain_array(array: np.ndarray) -> Any:
+    """An array as nested lists; one of shape () as a number."""
     if array.ndim > 0:
         return [plain(item) for item in array]
     if array.dtype.kind != "f":

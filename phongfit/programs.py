@@ -24,7 +24,7 @@ without; the fit itself takes as long either way.
 
 
 def program(*static: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """`jax.jit` with the options of [`QUICK_COMPILATION`][].
+    """Decorator: `jax.jit` with the options of [`QUICK_COMPILATION`][].
 
     JAX accepts options for the outermost program only. Inside another program, or under
     `jax.grad` or `jax.vmap`, the function is therefore a plain `jax.jit`.
@@ -52,17 +52,20 @@ def program(*static: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
 @functools.cache
 def _untraced() -> Any:
-    """JAX's trace state outside of any transformation, taken in a fresh thread."""
+    """JAX's trace state outside of any transformation.
+
+    It is taken in a new thread, since this one may be inside a transformation.
+    """
     with ThreadPoolExecutor(1) as thread:
         return thread.submit(get_opaque_trace_state).result()
 
 
 @functools.cache
 def compiler_options() -> dict[str, Any] | None:
-    """`QUICK_COMPILATION` as `jax.jit` takes it, without what `XLA_FLAGS` sets.
+    """The options of `QUICK_COMPILATION` that `XLA_FLAGS` does not set, for `jax.jit`.
 
-    `None` if nothing is left, on other devices than CPUs, and where this version of XLA
-    does not have the options.
+    `None`, which stands for no options, if none is left, on devices other than CPUs,
+    and where this version of XLA does not have the options.
     """
     flags = os.environ.get("XLA_FLAGS", "")
     options = {

@@ -18,7 +18,7 @@ from phongfit.vectors import Scalar, Vec3, dot, normalize, power
 
 
 def lambert(normal: Vec3, to_light: Vec3) -> Scalar:
-    r"""Share of a light's intensity that a matte surface sends back.
+    r"""Fraction of a light's intensity that a white matte surface reflects.
 
     $\max(s \cdot m, 0)$: none from behind.
 
@@ -38,7 +38,7 @@ def lambert(normal: Vec3, to_light: Vec3) -> Scalar:
 
 
 def mirror(normal: Vec3, to_light: Vec3) -> Vec3:
-    r"""Direction $r = 2 (s \cdot m) m - s$ of the ideal reflection of a light.
+    r"""Direction $r = 2 (s \cdot m) m - s$ in which a mirror would reflect a light.
 
     **Arguments:** as in [`lambert`][]. **Returns:** a unit vector.
     """
@@ -46,9 +46,10 @@ def mirror(normal: Vec3, to_light: Vec3) -> Vec3:
 
 
 def halfway(to_light: Vec3, to_viewer: Vec3) -> Vec3:
-    r"""Half vector $h = (s + v) / |s + v|$; zero where $s = -v$.
+    r"""Half vector $h = (s + v) / |s + v|$ of light and viewer.
 
-    **Arguments:** unit vectors to light and viewer. **Returns:** a unit vector.
+    **Arguments:** unit vectors to light and viewer. **Returns:** a unit vector; zero
+    where $s = -v$.
     """
     return normalize(to_light + to_viewer)
 
@@ -58,7 +59,8 @@ class AbstractSpecular(eqx.Module):
 
     The split makes fits fast: the cosine is computed once, the lobe at every step. A
     model may have further parameters of the lobe as float fields. They can be unknowns
-    of a fit, by paths such as `"scene.specular_model.roughness"`, within `bounds`.
+    of a fit, by paths such as `"scene.specular_model.roughness"`. `bounds` maps names
+    of such fields to their lowest and highest value in a fit.
     """
 
     bounds: ClassVar[Mapping[str, tuple[float, float]]] = {}
@@ -67,18 +69,26 @@ class AbstractSpecular(eqx.Module):
     def cosine(
         self, normal: Vec3, to_light: Vec3, to_viewer: Vec3
     ) -> PyTree[Float[Array, ""]]:
-        """Cosine of the angle from the highlight's centre; 0 where there is none.
+        """Cosine of the angle from the highlight's centre; ≤ 0 where there is none.
 
         A lobe that needs more numbers gets them as a named tuple, with this cosine as
         its first field. The lobe must accept zeros, which stand for lights that an
         image lacks.
+
+        **Arguments:** unit vectors of one point that point away from the surface.
         """
 
     @abc.abstractmethod
     def lobe(
         self, cosine: PyTree[Float[Array, "..."]], shininess: Float[Array, "..."]
     ) -> Float[Array, "..."]:
-        """Height of the highlight at `cosine`, elementwise, for ρ_s = 1."""
+        """Light of the highlight at `cosine`, elementwise, ≥ 0, for ρ_s = 1.
+
+        It is a factor on the light's specular colour.
+
+        **Arguments:** `cosine`: as returned by `cosine`, of any shape; `shininess`:
+        exponents that broadcast to it.
+        """
 
     @abc.abstractmethod
     def diffuse_scale(self) -> float:
@@ -86,11 +96,14 @@ class AbstractSpecular(eqx.Module):
 
 
 def _gated(cosine: Scalar, normal: Vec3, to_light: Vec3, gate: bool) -> Scalar:
+    """The cosine, or with `gate` 0 where the light is behind the surface."""
     return jnp.where(dot(to_light, normal) > 0, cosine, 0) if gate else cosine
 
 
 class Phong(AbstractSpecular):
     r"""Phong's highlight $\max(r \cdot v, 0)^f$, $r = 2 (s \cdot m) m - s$.
+
+    Unit vectors $s$, $v$ point to light and viewer; $m$ is the normal.
 
     ??? cite "Source"
         Phong, *Illumination for computer generated pictures*, CACM 18(6), 1975.
@@ -123,6 +136,8 @@ Phong.__init__.__doc__ = """**Arguments:**
 
 class BlinnPhong(AbstractSpecular):
     r"""Blinn's highlight $\max(h \cdot m, 0)^f$, $h = (s + v) / |s + v|$.
+
+    Unit vectors $s$, $v$ point to light and viewer; $m$ is the normal.
 
     ??? cite "Source"
         Blinn, *Models of light reflection for computer synthesized pictures*,
@@ -164,7 +179,8 @@ def blinn_from_phong(shininess: Float[Array, "..."]) -> Float[Array, "..."]:
     of that between $r$ and $v$, and $\cos^{4f}(\theta/2) \approx \cos^f \theta$ near
     the centre of the highlight.
 
-    **Arguments:** `shininess`: Phong exponents, any shape. **Returns:** Blinn's.
+    **Arguments:** `shininess`: Phong exponents, any shape. **Returns:** Blinn exponents
+    of that shape.
 
     ??? cite "Source"
         Fisher and Woo, *R·E versus N·H specular highlights*, Graphics Gems IV, 1994.

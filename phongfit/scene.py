@@ -18,7 +18,7 @@ from phongfit.vectors import Rgb
 
 
 class Scene(eqx.Module):
-    """Surface, camera, lights, specular model, shading method, fog and shadows."""
+    """All that an image depends on except the material: surface, camera, lights, …"""
 
     surface: AbstractSurface
     camera: AbstractCamera
@@ -48,21 +48,23 @@ class Scene(eqx.Module):
     ):
         """**Arguments:**
 
-        - `surface`: what is looked at.
-        - `camera`: from where; default an [`OrthographicCamera`][] of 256 × 256 pixels.
-        - `lights`: any number, of any kinds.
-        - `ambient`: the ambient light I_a, RGB or one number.
-        - `specular_model`: of the highlight, default [`BlinnPhong`][].
+        - `surface`: the object in the image.
+        - `camera`: default an [`OrthographicCamera`][] of 256 × 256 pixels.
+        - `lights`: one, or any number of any kinds.
+        - `ambient`: the ambient light I_a ≥ 0, RGB or one number.
+        - `specular_model`: formula of the highlight, default [`BlinnPhong`][].
         - `shading`: where light is computed, default [`PhongShading`][]: per pixel.
         - `fog`: default none.
-        - `shadows`: whether surfaces throw hard shadows.
+        - `shadows`: whether the surface casts hard shadows on itself.
         - `background`: RGB where a pixel sees no surface; there is no fog there.
-        - `local_viewer`: position of the viewer for highlights. By default it is at the
-            origin of the camera's rays. `True` and `False` are OpenGL's
-            GL_LIGHT_MODEL_LOCAL_VIEWER: at the camera's position, also for parallel
-            rays; infinitely far along the camera's axis, also for a pinhole.
+        - `local_viewer`: position of the viewer for highlights. By default it is the
+            camera's: the pinhole, or infinitely far away for parallel rays. `True` and
+            `False` are OpenGL's GL_LIGHT_MODEL_LOCAL_VIEWER: at the camera's position,
+            also for parallel rays; infinitely far along the camera's axis, also for a
+            pinhole.
 
-        **Raises:** `ValueError` that names the argument.
+        **Raises:** `ValueError` that names the argument, also if the surface cannot
+        have these lights, fog, shadows or shading method.
         """
         camera = OrthographicCamera() if camera is None else camera
         lights = (lights,) if isinstance(lights, AbstractLight) else lights
@@ -70,8 +72,8 @@ class Scene(eqx.Module):
         specular_model = BlinnPhong() if specular_model is None else specular_model
         shading = PhongShading() if shading is None else shading
         if isinstance(surface, NormalMap) and surface.positions is None:
-            placeless = DirectionalLight | HarmonicLight
-            if not all(isinstance(light, placeless) for light in lights):
+            distant = DirectionalLight | HarmonicLight
+            if not all(isinstance(light, distant) for light in lights):
                 raise ValueError(
                     "lights: a normal map without positions can be lit by directional "
                     "and harmonic lights only, since others depend on the distance"
@@ -94,7 +96,7 @@ class Scene(eqx.Module):
         self.local_viewer = local_viewer
 
     def trace(self) -> GBuffer:
-        """The scene's geometry, resolved once: see [`trace`][]."""
+        """The surface point that each pixel sees, and the shadows: see [`trace`][]."""
         return trace(
             self.surface,
             self.camera,

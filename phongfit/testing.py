@@ -42,7 +42,7 @@ def check_gradients(
         it closes over keep their precision: create them inside, or pass them in
         `point`.
     - `point`: any pytree. Its floats are differentiated, everything else (whole
-        numbers, bools, strings, None) is left alone.
+        numbers, bools, strings, None) is held fixed.
     - `order`: 1 for gradients, 2 for second derivatives as well.
     - `finite_differences`: `False` at a kink, where there is nothing that they could
         converge to: then both modes must be finite and agree (to second order, forward
@@ -52,9 +52,9 @@ def check_gradients(
         and 4e-11 of its third derivative (step 6e-6 × max(|x|, 1)).
 
     **Raises:** `AssertionError` that names the worst entry by its path, such as
-    `.lights[0].position[2]`, with the numbers; `ValueError` that names the argument if
-    there is nothing to differentiate, or
-    where arrays that `function` closes over keep it from float64.
+    `.lights[0].position[2]`, with the numbers, or if the value is not finite;
+    `ValueError` that names the argument if there is nothing to differentiate, or if
+    arrays that `function` closes over keep it from float64.
     """
     if order not in (1, 2):
         raise ValueError(f"order: expected 1 or 2, got {order!r}")
@@ -93,6 +93,9 @@ def _check_precision(
 ) -> None:
     """Check that a function can be traced in float64.
 
+    **Arguments:** `rebuild`, `start`: from a vector to the function's argument, and the
+    vector of the point.
+
     **Raises:** `ValueError` with the reason if it cannot: mostly arrays of single
     precision that the function closes over.
     """
@@ -117,7 +120,10 @@ Leaves = list[tuple[str, np.ndarray]]
 
 
 def _as_vector_space(point: PyTree) -> tuple[Leaves, Callable[[Array], PyTree]]:
-    """The floats of a pytree with their paths, and a function that sets them."""
+    """The floats of a pytree with their paths, and a function that sets them.
+
+    The function takes all of them as one vector, and returns the pytree.
+    """
     floats, rest = eqx.partition(point, eqx.is_inexact_array_like)
     with_paths, structure = jax.tree_util.tree_flatten_with_path(floats)
     if not with_paths:
@@ -139,6 +145,7 @@ def _as_vector_space(point: PyTree) -> tuple[Leaves, Callable[[Array], PyTree]]:
 
 
 def _path(path: tuple[Any, ...]) -> str:
+    """A path in a pytree as text; "point" for a pytree that is a single array."""
     return jax.tree_util.keystr(path) or "point"
 
 
@@ -148,8 +155,8 @@ def _namer(leaves: Leaves) -> Callable[[int], str]:
     def name(entry: int) -> str:
         for path, leaf in leaves:
             if entry < leaf.size:
-                place = np.unravel_index(entry, leaf.shape)
-                return path + (f"[{', '.join(map(str, place))}]" if place else "")
+                indices = np.unravel_index(entry, leaf.shape)
+                return path + (f"[{', '.join(map(str, indices))}]" if indices else "")
             entry -= leaf.size
         raise IndexError(entry)
 
@@ -160,8 +167,8 @@ def _contract(output: Float[Array, "..."]) -> Scalar:
     """Sum of the entries with fixed random weights; of one entry, the entry itself."""
     if output.dtype != jnp.float64:
         raise ValueError(
-            f"function: returned {output.dtype} for float64 input, which finite "
-            "differences cannot be distinguished from"
+            f"function: expected float64 for float64 input, got {output.dtype}, whose "
+            "rounding would exceed the differences that are allowed"
         )
     if output.size == 1:
         return output.reshape(())
@@ -174,6 +181,7 @@ def _derivatives(
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """`function(point)`, and its derivative by each way of computing it.
 
+    The derivatives are by name, `"forward"` and, if wanted, `"finite differences"`.
     The last axis of a derivative runs over the entries of `point`. Entries are
     differentiated one at a time, to save memory. Forward mode and finite differences
     call the same compiled function, since compilation is the slow part.

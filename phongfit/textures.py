@@ -25,7 +25,10 @@ Wrap = Literal["repeat", "clamp"]
 
 
 class Place(eqx.Module):
-    """Points of a surface, by the coordinates at which textures are sampled."""
+    """Points of a surface, by the coordinates at which textures are looked up.
+
+    Textures of vertices use the weights of a triangle's corners, images use uv.
+    """
 
     corners: Int[Array, "*batch 3"]
     weights: Float[Array, "*batch 3"]
@@ -35,15 +38,15 @@ class Place(eqx.Module):
 
 Place.__init__.__doc__ = """**Arguments:**
 
-- `corners`, `weights`: vertices of the triangle that a point lies in, and their
-    weights, which sum to 1.
+- `corners`, `weights`: indices of the vertices of the triangle that a point lies in,
+    and their weights, which sum to 1.
 - `uv`: texture coordinates of the points; `None` where the surface has no uv.
 - `material_index`: which of several materials; `None` where there is one.
 """
 
 
 class AbstractTexture(eqx.Module):
-    """Values on a surface, with three channels or one for all."""
+    """Base class of textures: values on a surface, with three channels or with one."""
 
     values: eqx.AbstractVar[Float[Array, "*places channels"]]
 
@@ -89,7 +92,7 @@ class Texture(AbstractTexture):
         return self.at(place.uv)
 
     def at(self, uv: Float[Array, "*batch 2"]) -> Float[Array, "*batch channels"]:
-        """The texture's values at texture coordinates."""
+        """The texture's values at texture coordinates (u, v), of any batch shape."""
         rows, columns, channels = self.values.shape
         index, weight = texels(uv, (rows, columns), self.filter, self.wrap)
         flat = self.values.reshape(-1, channels)
@@ -138,9 +141,11 @@ def texels(
 ) -> tuple[Int[Array, "*batch corners"], Float[Array, "*batch corners"]]:
     """Indices of the texels around a point, and their weights, which sum to 1.
 
-    **Arguments:** `size`: rows and columns of the texture.
+    **Arguments:** `size`: rows and columns of the texture; `filter`, `wrap`: as in
+    [`Texture`][].
 
-    **Returns:** flat indices of the texels, row by row: four, or one for `"nearest"`.
+    **Returns:** flat indices of the texels, row · columns + column: four for
+    `"bilinear"`, one for `"nearest"`; and weights of the same shape.
 
     ??? cite "Source"
         Segal and Akeley, *The OpenGL Graphics System*, version 2.1, section 3.8.8.
@@ -148,28 +153,30 @@ def texels(
     rows, columns = size
     u, v = uv[..., 0], uv[..., 1]
     if wrap == "repeat":
-        # Reduced to [0, 1) before all else: large u and v have few digits for the
-        # texel.
+        # Reduced to [0, 1) first: multiplied by the size, large u and v would leave few
+        # digits for the place in a texel.
         u, v = u - jnp.floor(u), v - jnp.floor(v)
     x, y = _rounded(u * columns), _rounded(v * rows)
 
-    def wrapped(at: Array, count: int) -> Array:
-        at = at.astype(jnp.int32)
-        return at % count if wrap == "repeat" else jnp.clip(at, 0, count - 1)
+    def wrapped(index: Array, count: int) -> Array:
+        """Row or column inside the image for one that may be outside."""
+        index = index.astype(jnp.int32)
+        return index % count if wrap == "repeat" else jnp.clip(index, 0, count - 1)
 
     if filter == "nearest":
-        number = wrapped(jnp.floor(y), rows) * columns + wrapped(jnp.floor(x), columns)
-        return number[..., None], jnp.ones_like(x)[..., None]
+        index = wrapped(jnp.floor(y), rows) * columns + wrapped(jnp.floor(x), columns)
+        return index[..., None], jnp.ones_like(x)[..., None]
+    # Centres of texels are at half integers.
     left, top = jnp.floor(x - 0.5), jnp.floor(y - 0.5)
     right, down = x - 0.5 - left, y - 0.5 - top
-    numbers, weights = [], []
+    indices, weights = [], []
     for below in (0, 1):
         for beside in (0, 1):
             row, column = wrapped(top + below, rows), wrapped(left + beside, columns)
-            numbers.append(row * columns + column)
+            indices.append(row * columns + column)
             across = right if beside else 1 - right
             weights.append(across * (down if below else 1 - down))
-    return jnp.stack(numbers, axis=-1), jnp.stack(weights, axis=-1)
+    return jnp.stack(indices, axis=-1), jnp.stack(weights, axis=-1)
 
 
 def _rounded(x: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
@@ -212,10 +219,10 @@ class Textures(eqx.Module):
                 )
             if name != "normal":
 
-                def positive(a: Any) -> Any:
+                def fine(a: Any) -> Any:
                     return a >= 0
 
-                require(name, texture.values, positive, positive, "numbers ≥ 0")
+                require(name, texture.values, fine, fine, "numbers ≥ 0")
 
     @property
     def at_vertices(self) -> dict[str, VertexColours]:
@@ -236,9 +243,10 @@ Textures.__init__.__doc__ = """**Arguments:**
 
 - `diffuse`, `specular`, `ambient`, `emission`: [`Texture`][] or [`VertexColours`][] of
     numbers ≥ 0, with three channels or one.
-- `shininess`: of one channel.
-- `normal`: a [`Texture`][] of the normal's part along u, along −v (up in the image)
-    and outwards, from −1 to 1; seen with Phong shading only.
+- `shininess`: a texture of numbers ≥ 0 with one channel.
+- `normal`: a [`Texture`][] whose three channels are the normal's components along u,
+    along −v (up in the image) and outwards, from −1 to 1. Flat and Gouraud shading do
+    not use it.
 
 **Raises:** `ValueError` that names the argument.
 """
@@ -248,7 +256,7 @@ COLOURED = ("ambient", "diffuse", "specular", "emission")
 
 
 class Factors(eqx.Module):
-    """Factors of the textures at each pixel, on the basis images and the exponent."""
+    """Factors of the textures at each pixel, on the basis images and the emission."""
 
     ambient: Float[Array, "*batch 3"]
     diffuse: Float[Array, "*batch 3"]
@@ -259,9 +267,15 @@ class Factors(eqx.Module):
 def looked_up(
     name: str, textures: Sequence[Textures], place: Place
 ) -> Float[Array, "*batch channels"] | None:
-    """One parameter's factor at points of a surface; `None` if it has no texture.
+    """One parameter's texture values at points of a surface; `None` without a texture.
 
-    **Arguments:** `textures`: of each material, or of all.
+    **Arguments:**
+
+    - `name`: the parameter, or `"normal"`.
+    - `textures`: one for each material, or one for the whole surface.
+
+    **Returns:** three channels or one. Points whose material has no such texture get 1,
+    or the normal map's vector (0, 0, 1), which leaves normals unchanged.
     """
     of_materials = [getattr(textures_of, name) for textures_of in textures]
     present = [texture for texture in of_materials if texture is not None]
@@ -280,15 +294,18 @@ def looked_up(
     if len(of_materials) == 1 or place.material_index is None:
         return look_up(of_materials[0])
     factor = look_up(None)
-    for number, texture in enumerate(of_materials):
+    for index, texture in enumerate(of_materials):
         if texture is not None:
-            has_material = (place.material_index == number)[..., None]
+            has_material = (place.material_index == index)[..., None]
             factor = jnp.where(has_material, look_up(texture), factor)
     return factor
 
 
 def factors(textures: Sequence[Textures], place: Place) -> Factors | None:
-    """Factors of the colour textures; `None` if there is no such texture."""
+    """Factors of the four colour textures at points of a surface; `None` without any.
+
+    **Arguments:** `textures`: one for each material, or one for the whole surface.
+    """
     values_by_name = {name: looked_up(name, textures, place) for name in COLOURED}
     if all(values is None for values in values_by_name.values()):
         return None

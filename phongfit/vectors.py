@@ -15,7 +15,7 @@ Scalar: TypeAlias = Float[Array, ""]
 
 def dot(a: Float[Array, " few"], b: Float[Array, " few"]) -> Scalar:
     r"""$a \cdot b$ of two vectors of shape (3,), or of another small length."""
-    # Not as a sum over an axis of three, which compilers do slowly.
+    # Not a sum over an axis of length three, for which compilers make slow code.
     first, *others = a * b
     for product in others:
         first = first + product
@@ -38,7 +38,7 @@ def normalize(vector: Vec3) -> Vec3:
 
 @program()
 def normalize_all(vectors: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
-    """Each vector normalized, as one compiled program."""
+    """Unit vectors of many vectors, as [`normalize`][] makes them; zeros stay zero."""
     units = jax.vmap(normalize)(vectors.reshape(-1, 3))
     return units.reshape(vectors.shape)
 

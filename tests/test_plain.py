@@ -30,5 +30,5 @@ def test_paths_are_text_and_shapes_stay():
 
 
 def test_what_has_no_place_is_named():
-    with pytest.raises(TypeError, match="set has no place in JSON"):
+    with pytest.raises(TypeError, match="set cannot be written as JSON"):
         plain({"a": {1, 2}})

@@ -310,7 +310,7 @@ def test_several_rays_make_smooth_outlines():
     for samples in (0, 2, -1):
         with pytest.raises(ValueError, match="samples: expected 1, 4, 9"):
             pf.render(scene, black, samples=samples)
-    with pytest.raises(ValueError, match="samples: a gbuffer has one ray"):
+    with pytest.raises(ValueError, match="samples: expected 1 with a gbuffer"):
         pf.render(scene, black, samples=4, gbuffer=scene.trace())
     normals = pf.NormalMap(np.ones((16, 16, 3)))
     with pytest.raises(ValueError, match="samples: expected 1 for a normal map"):

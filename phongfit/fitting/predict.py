@@ -106,7 +106,7 @@ def predict_errors(
     film = Film() if film is None else film
     single = isinstance(scene, Scene)
     scenes = [scene] if single else list(scene)
-    films = as_films(film, len(scenes), "a scene")
+    films = as_films(film, len(scenes), "scene")
     images = [
         _photograph(one, material, how) for one, how in zip(scenes, films, strict=True)
     ]

@@ -10,7 +10,12 @@ MAX_LEAF_FACES, RAYS_PER_BATCH = 8, 2**15
 
 
 class _Box(NamedTuple):
-    """A box around faces. It has two smaller boxes, or the faces if they are few."""
+    """An axis-parallel box around faces, a node of the tree.
+
+    - `low`, `high`: opposite corners, in the unit of the vertices.
+    - `faces`: indices of its faces, if they are few; else `None`.
+    - `parts`: else its two smaller boxes.
+    """
 
     low: np.ndarray
     high: np.ndarray
@@ -29,6 +34,7 @@ class FaceTree:
         vertices: Float[np.ndarray, "vertices 3"],
         faces: Int[np.ndarray, "faces 3"],
     ):
+        """**Arguments:** `vertices`: in any unit; `faces`: indices of their corners."""
         self._corners = vertices.astype(float)[faces]
         self._root = _box(self._corners, np.arange(len(faces)))
 
@@ -41,7 +47,12 @@ class FaceTree:
     ) -> Int[np.ndarray, " rays"]:
         """Index of the face that each ray meets before its limit, −1 for none.
 
-        **Arguments:** `query`: `"INTERSECT"` for the first face, `"OCCLUDED"` for any.
+        **Arguments:**
+
+        - `origin`, `direction`: of the rays, in the unit of the vertices.
+        - `limit`: largest distance, in lengths of `direction`; `None` for no limit.
+        - `query`: `"INTERSECT"` for the first face on a ray, `"OCCLUDED"` for any face,
+            which is faster.
         """
         hits = np.full(len(origin), -1)
         limits = np.full(len(origin), np.inf) if limit is None else limit.astype(float)
@@ -59,7 +70,11 @@ class FaceTree:
         hits: np.ndarray,
         any_hit: bool,
     ) -> None:
-        """Write the index of the face that each ray meets into `hits`."""
+        """Write the index of the face that each ray meets into `hits`.
+
+        `limits` is overwritten by the distances of the faces found.
+        """
+        # A ray parallel to a side of a box would give 0 × ∞.
         inverse = 1 / np.where(direction == 0, 1e-300, direction)
         stack = [(self._root, np.arange(len(origin)))]
         while stack:
@@ -83,7 +98,10 @@ class FaceTree:
 
 
 def _box(corners: Float[np.ndarray, "faces 3 3"], faces: Int[np.ndarray, " k"]) -> _Box:
-    """The box around some faces, split at the median along its longest axis."""
+    """The box around some faces, split at the median along the longest axis.
+
+    **Arguments:** `corners`: of all faces; `faces`: indices of those in the box.
+    """
     triangles = corners[faces]
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     # Rounding must not exclude faces that lie in a side of the box.
@@ -101,6 +119,9 @@ def _intersects_box(
     box: _Box, origin: np.ndarray, inverse: np.ndarray, limits: np.ndarray
 ) -> Bool[np.ndarray, " rays"]:
     """Whether rays intersect a box before they end.
+
+    **Arguments:** `inverse`: 1 / direction, for each axis; `limits`: largest distances,
+    in lengths of the direction.
 
     ??? cite "Source"
         Kay and Kajiya, *Ray tracing complex scenes*, SIGGRAPH 1986.
@@ -121,6 +142,7 @@ def _distances(
     A ray hits a face if it passes all three edges on the same side. Two faces that
     share an edge compute the same number with opposite signs, so no ray slips between.
     """
+    # Corners relative to the origins of the rays, each of shape (rays, faces, 3).
     a, b, c = np.moveaxis(corners[None] - origin[:, None, None], 2, 0)
     along = direction[:, None]
     # The sign is the side of the edge on which the ray passes.

@@ -1,7 +1,8 @@
 """Cameras: from a pixel to the ray through it, and from a point to its image.
 
-A camera looks along its own −z, with x to the right and y up. Pixel (0, 0) is at the
-top left; centres are at half integers: that of the first pixel is at (0.5, 0.5).
+A camera looks along its own −z, with x to the right and y up. Image points (x, y) are
+in pixels from the top left corner of the image, with y down, so that the centre of the
+first pixel is at (0.5, 0.5).
 """
 
 import abc
@@ -24,7 +25,7 @@ from phongfit.checks import (
     require,
 )
 from phongfit.edge import checked
-from phongfit.geometry.distortion import AbstractDistortion, Place, flat
+from phongfit.geometry.distortion import AbstractDistortion, PlanePoint, flat
 from phongfit.programs import program
 from phongfit.vectors import Scalar, Vec3, normalize
 
@@ -50,10 +51,14 @@ class AbstractCamera(eqx.Module):
 
     @abc.abstractmethod
     def ray(self, x: Scalar, y: Scalar) -> Ray:
-        """Ray through image point (x, y), in pixels from the top left corner."""
+        """Ray through image point (x, y), in pixels from the top left corner.
+
+        In the world's axes and units. A finite placeholder if there is no such ray: see
+        `covered`.
+        """
 
     @abc.abstractmethod
-    def project(self, position: Vec3) -> Place:
+    def project(self, position: Vec3) -> Float[Array, "2"]:
         """Image of a point of the scene, (x, y) in pixels from the top left corner.
 
         The inverse of `ray`. NaN for points without an image: behind a pinhole, and
@@ -62,10 +67,13 @@ class AbstractCamera(eqx.Module):
 
     @abc.abstractmethod
     def to_viewer(self, position: Vec3) -> Vec3:
-        """Unit vector from a point of the scene towards the viewer."""
+        """Unit vector from a point of the scene (world units) towards the viewer."""
 
     def covered(self) -> Bool[Array, "height width"] | None:
-        """Mask of the pixels that have a ray; `None` if all have, which is usual."""
+        """Mask of the pixels that have a ray; `None` if all have one.
+
+        Some distortions have no direction for pixels near the corners.
+        """
         return None
 
     @property
@@ -82,11 +90,12 @@ class AbstractCamera(eqx.Module):
         return self if times == 1 else FinerCamera(self, times)
 
     def depth(self, position: Vec3) -> Scalar:
-        """Distance of a point along the camera's viewing axis, in world units."""
+        """Distance of a point along the viewing axis, world units; > 0 in front."""
+        # The third column of the rotation points back, from the scene to the camera.
         return jnp.sum((self.position - position) * self.rotation[:, 2])
 
     def _seen_from(self, position: Vec3) -> Vec3:
-        """A point in the camera's axes: right, up and back from its position."""
+        """Coordinates of a point in the camera's axes: right, up, back; world units."""
         # A GPU would otherwise multiply in reduced precision.
         offset = position - self.position
         return jnp.matmul(offset, self.rotation, precision="highest")
@@ -95,7 +104,10 @@ class AbstractCamera(eqx.Module):
 def over_pixels(
     function: Callable[[Scalar, Scalar], Any], camera: AbstractCamera
 ) -> Any:
-    """Evaluate a function of an image point at all pixel centres of a camera."""
+    """Evaluate a function of an image point at all pixel centres of a camera.
+
+    **Returns:** the function's results with leading axes (height, width).
+    """
     dtype = camera.position.dtype
     x = jnp.arange(camera.width, dtype=dtype) + 0.5
     y = jnp.arange(camera.height, dtype=dtype) + 0.5
@@ -104,12 +116,14 @@ def over_pixels(
 
 
 def _as_size(name: str, value: Any) -> int:
+    """`value` as a whole number ≥ 1; else a `ValueError` that names `name`."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
         raise ValueError(f"{name}: expected a whole number ≥ 1, got {value!r}")
     return int(value)
 
 
 def _as_rotation(value: Any) -> Float[Array, "3 3"]:
+    """`value` as a rotation matrix, orthonormal to 1e-4; else `ValueError`."""
     rotation = as_floats("rotation", value)
     if rotation.shape != (3, 3):
         raise ValueError(f"rotation: expected shape (3, 3), got {rotation.shape}")
@@ -133,14 +147,15 @@ def look_at(position: Any, target: Any, up: Any = (0, 1, 0)) -> Float[Array, "3 
 
     **Returns:** the camera's x (right), y (up) and z (back) axes as columns.
 
-    **Raises:** `ValueError` if `position` is `target`, or `up` lies along the view.
+    **Raises:** `ValueError` if `position` is `target`, or `up` is zero or lies along
+    the view.
     """
     back = as_vector("position", position) - as_vector("target", target)
 
     def apart(a: Any) -> Any:
         return (a != 0).any()
 
-    back = require("position", back, apart, apart, "a place other than target")
+    back = require("position", back, apart, apart, "a point other than target")
     back = normalize(back)
     right = jnp.cross(normalize(nonzero("up", as_vector("up", up))), back)
 
@@ -175,9 +190,10 @@ class OrthographicCamera(AbstractCamera):
 
         - `width`, `height`: pixels.
         - `view_height`: world units from the image's lower to its upper edge.
-        - `position`: centre of the image plane; nothing behind it is seen.
-        - `rotation`: x, y and z axis of the camera as columns of a (3, 3) matrix;
-            default the world's own, which looks along −z.
+        - `position`: centre of the image plane, world units; nothing behind it is seen.
+        - `rotation`: the camera's axes x (right), y (up) and z (back) as columns of a
+            (3, 3) matrix; default the world's axes, so that it looks along the world's
+            −z.
 
         **Raises:** `ValueError` that names the argument.
         """
@@ -212,20 +228,24 @@ class OrthographicCamera(AbstractCamera):
         return True
 
     def ray(self, x: Scalar, y: Scalar) -> Ray:
+        # Size of a pixel in world units.
         pixel = self.view_height / self.height
         right = (x - self.width / 2) * pixel
         up = (self.height / 2 - y) * pixel
         offset = self.rotation @ jnp.stack([right, up, jnp.zeros_like(right)])
+        # The camera looks along its −z axis, the third column.
         return Ray(self.position + offset, -self.rotation[:, 2])
 
-    def project(self, position: Vec3) -> Place:
+    def project(self, position: Vec3) -> Float[Array, "2"]:
         right, up, _ = self._seen_from(position)
+        # Pixels per world unit.
         pixels = self.height / self.view_height
         return jnp.stack(
             [self.width / 2 + right * pixels, self.height / 2 - up * pixels]
         )
 
     def to_viewer(self, position: Vec3) -> Vec3:
+        # The camera's z axis, for all points.
         del position
         return self.rotation[:, 2]
 
@@ -288,16 +308,18 @@ class PerspectiveCamera(AbstractCamera):
         )
 
     def ray(self, x: Scalar, y: Scalar) -> Ray:
-        # The image plane at distance 1 is 2 tan(fov/2) high.
+        # Size of a pixel on the plane at distance 1, of which 2 tan(fov/2) is seen.
         pixel = 2 * jnp.tan(jnp.deg2rad(self.fov_y) / 2) / self.height
         right = (x - self.width / 2) * pixel
         up = (self.height / 2 - y) * pixel
         direction = self.rotation @ jnp.stack([right, up, -jnp.ones_like(right)])
         return Ray(self.position, normalize(direction))
 
-    def project(self, position: Vec3) -> Place:
+    def project(self, position: Vec3) -> Float[Array, "2"]:
         right, up, back = self._seen_from(position)
+        # Focal length in pixels.
         pixels = self.height / (2 * jnp.tan(jnp.deg2rad(self.fov_y) / 2))
+        # `flat` has y down and z forward, our cameras y up and z back.
         x, y = pixels * flat(jnp.stack([right, -up, -back]))
         return jnp.stack([self.width / 2 + x, self.height / 2 + y])
 
@@ -382,22 +404,29 @@ class PinholeCamera(AbstractCamera):
         return Ray(self.position, normalize(direction))
 
     def _direction(self, x: Scalar, y: Scalar) -> tuple[Vec3, Bool[Array, ""]]:
+        """Direction (right, down, ahead) of an image point, and whether there is one.
+
+        In the camera's axes but for signs; of any length.
+        """
         place = self.place_of(x, y)
         if self.distortion is None:
             return jnp.append(place, jnp.ones_like(x)), jnp.array(True)
         return self.distortion.direction(place)
 
-    def place_of(self, x: Scalar, y: Scalar) -> Place:
-        """An image point on the image plane at distance 1, x right and y down."""
+    def place_of(self, x: Scalar, y: Scalar) -> PlanePoint:
+        """Point of the plane at distance 1, x right and y down, for an image point.
+
+        **Arguments:** `x`, `y`: in pixels from the top left corner.
+        """
         down = (y - self.cy) / self.fy
         return jnp.stack([(x - self.cx - self.skew * down) / self.fx, down])
 
-    def pixel_of(self, place: Place) -> Place:
-        """Pixel (x, y), from the top left corner, of a place in the image plane."""
+    def pixel_of(self, place: PlanePoint) -> Float[Array, "2"]:
+        """Image point (x, y), in pixels, of a point of that plane: see `place_of`."""
         x, y = place
         return jnp.stack([self.fx * x + self.skew * y + self.cx, self.fy * y + self.cy])
 
-    def project(self, position: Vec3) -> Place:
+    def project(self, position: Vec3) -> Float[Array, "2"]:
         right, up, back = self._seen_from(position)
         direction = jnp.stack([right, -up, -back])
         lens = self.distortion
@@ -407,11 +436,14 @@ class PinholeCamera(AbstractCamera):
         return normalize(self.position - position)
 
     def covered(self) -> Bool[Array, "height width"] | None:
+        # Without distortion each pixel has a ray.
         return None if self.distortion is None else _covered(self)
 
 
 @program()
 def _covered(camera: PinholeCamera) -> Bool[Array, "height width"]:
+    """Mask of the pixels whose centre is the image of a direction."""
+
     def found(x: Scalar, y: Scalar) -> Bool[Array, ""]:
         return camera._direction(x, y)[1]
 
@@ -419,7 +451,7 @@ def _covered(camera: PinholeCamera) -> Bool[Array, "height width"]:
 
 
 class AbstractSameView(AbstractCamera):
-    """Another camera's view, resampled to other pixels."""
+    """Base class of cameras with the view of another `camera` but other pixels."""
 
     camera: AbstractVar[AbstractCamera]
 
@@ -435,7 +467,7 @@ class AbstractSameView(AbstractCamera):
 
 
 class FinerCamera(AbstractSameView):
-    """Another camera's view, with each pixel split into `times` × `times`."""
+    """A camera's view with more pixels: each is split into `times` × `times`."""
 
     camera: AbstractCamera
     times: int = eqx.field(static=True)
@@ -445,7 +477,9 @@ class FinerCamera(AbstractSameView):
     rotation: Float[Array, "3 3"]
 
     def __init__(self, camera: AbstractCamera, times: int):
-        """**Arguments:** `camera`; `times`: new pixels along each side of a pixel."""
+        """**Arguments:** `camera`: the other camera; `times`: ≥ 1, new pixels along
+        each side of one of its pixels.
+        """
         self.camera = camera
         self.times = _as_size("times", times)
         self.width = camera.width * self.times
@@ -462,12 +496,16 @@ class FinerCamera(AbstractSameView):
     def covered(self) -> Bool[Array, "height width"] | None:
         whole = self.camera.covered()
         if whole is None:
+            # Each pixel has a ray.
             return None
         return jnp.repeat(jnp.repeat(whole, self.times, axis=0), self.times, axis=1)
 
 
 class WindowCamera(AbstractSameView):
-    """A rectangular part of another camera's image; it may extend beyond it."""
+    """A camera for a rectangular part of another camera's image.
+
+    It may extend beyond the right and lower edge of that image.
+    """
 
     camera: AbstractCamera
     left: Float[Array, ""]
@@ -480,7 +518,12 @@ class WindowCamera(AbstractSameView):
     def __init__(
         self, camera: AbstractCamera, left: int, top: int, width: int, height: int
     ):
-        """**Arguments:** `left`, `top`: column and row of the window's first pixel."""
+        """**Arguments:**
+
+        - `camera`: the other camera.
+        - `left`, `top`: column and row of the window's first pixel in its image, ≥ 0.
+        - `width`, `height`: of the window, pixels.
+        """
         self.camera = camera
         # Arrays, not static fields: one compiled program serves all windows.
         self.left = jnp.asarray(left, camera.position.dtype)
@@ -499,6 +542,7 @@ class WindowCamera(AbstractSameView):
     def covered(self) -> Bool[Array, "height width"] | None:
         whole = self.camera.covered()
         if whole is None:
+            # Each pixel has a ray.
             return None
         left, top = int(self.left), int(self.top)
         part = whole[top : top + self.height, left : left + self.width]

@@ -35,10 +35,10 @@ AXES: dict[Axes, tuple[int, int, int]] = {
 """For each convention, whether its camera's x, y and z axis are ours (right, up, back)
 or point the other way (left, down, forward)."""
 
-# Tolerance for axes in a file: orthonormal but for rounding.
-ROUNDED = 1e-3
+# Largest deviation from 1 of the singular values of a rotation that was rounded.
+ROTATION_TOLERANCE = 1e-3
 # The first 8 of OpenCV's 4 to 14 coefficients are Brown's; a thin prism's follow.
-BROWN = 8
+N_BROWN = 8
 
 
 class Pose(NamedTuple):
@@ -67,7 +67,8 @@ def camera_pose(to_world: Any, axes: Axes) -> Pose:
         (OpenCV's and COLMAP's R and t, PyTorch3D's Rᵀ and T), give its inverse.
     - `axes`: the convention of the camera's axes: see [`AXES`][].
 
-    **Raises:** `ValueError` that names the argument; axes must be orthonormal.
+    **Raises:** `ValueError` that names the argument; the matrix's axes must be
+    orthonormal and right-handed, to 0.001.
     """
     matrix = _numbers("to_world", to_world, (3, 4), (4, 4))
     if len(matrix) == 4 and not np.allclose(matrix[3], (0, 0, 0, 1), atol=1e-6):
@@ -86,7 +87,7 @@ def camera_to_world(camera: AbstractCamera, axes: Axes) -> Float[np.ndarray, "4 
 
     **Returns:** (4, 4): it maps a point from the camera's axes to the world's.
 
-    **Raises:** `ValueError` for another convention.
+    **Raises:** `ValueError` if `axes` is none of the conventions.
     """
     matrix = np.eye(4)
     matrix[:3, :3] = np.asarray(camera.rotation, float) * _signs(axes)
@@ -113,8 +114,8 @@ def camera_from_opencv(
     **Arguments:**
 
     - `matrix`: K, (3, 3), OpenCV's `cameraMatrix`.
-    - `rotation`: from the world's to the camera's axes: OpenCV's `rvec`, or R of shape
-        (3, 3).
+    - `rotation`: from the world's to the camera's axes: OpenCV's `rvec` (3 numbers, the
+        axis times the angle in radians), or R of shape (3, 3).
     - `translation`: t of R X + t, OpenCV's `tvec`, world units. The camera's position
         is −Rᵀ t.
     - `width`, `height`: pixels.
@@ -126,20 +127,21 @@ def camera_from_opencv(
     **Raises:** `ValueError` that names the argument.
     """
     k = _numbers("matrix", matrix, (3, 3))
-    if np.abs(k[[1, 2, 2], [0, 0, 1]]).max() > 0 or k[2, 2] != 1:
+    below_diagonal = k[[1, 2, 2], [0, 0, 1]]
+    if np.abs(below_diagonal).max() > 0 or k[2, 2] != 1:
         raise ValueError(
             "matrix: expected fx, s, cx; 0, fy, cy; 0, 0, 1 as its rows, got "
             f"{k.tolist()}"
         )
     given = _numbers("rotation", rotation, (3,), (3, 1), (1, 3), (3, 3))
     if given.size == 3:
-        turn = _from_rotation_vector(given.ravel())
+        r = _from_rotation_vector(given.ravel())
     else:
-        turn = _as_rotation("rotation", given)
-    shift = _numbers("translation", translation, (3,), (3, 1), (1, 3)).ravel()
+        r = _as_rotation("rotation", given)
+    t = _numbers("translation", translation, (3,), (3, 1), (1, 3)).ravel()
     return camera_from_extrinsics(
-        turn,
-        shift,
+        r,
+        t,
         width=width,
         height=height,
         fx=k[0, 0],
@@ -162,8 +164,8 @@ def camera_from_matrix(
 
     **Arguments:**
 
-    - `matrix`: (3, 4): from a point of the world, (X, Y, Z, 1), to its pixel (u, v), as
-        w·u, w·v and w.
+    - `matrix`: (3, 4), P: maps a point of the world, (X, Y, Z, 1), to (w·u, w·v, w)
+        with its image point (u, v) in pixels, u to the right and v down.
     - `width`, `height`: pixels.
     - `first_pixel`: u and v of the centre of the first pixel: 0 in OpenCV, 0.5 in
         COLMAP.
@@ -177,6 +179,7 @@ def camera_from_matrix(
     if first_pixel not in (0, 0.5):
         raise ValueError(f"first_pixel: expected 0 or 0.5, got {first_pixel!r}")
     p = _numbers("matrix", matrix, (3, 4))
+    # P is known up to a factor: the largest number of its last row becomes 1.
     p = p / max(np.abs(p[2, :3]).max(), np.finfo(float).tiny)
     # Rows are scaled to length 1 for this test: their lengths differ a thousandfold.
     scale = np.linalg.norm(p[:, :3], axis=1, keepdims=True)
@@ -186,13 +189,14 @@ def camera_from_matrix(
             "parallel rays or of one that is not a projection"
         )
     p = p * np.sign(np.linalg.det(p[:, :3]))
-    k, turn = _rq(p[:, :3])
-    shift = np.linalg.solve(k, p[:, 3])
+    k, r = _rq(p[:, :3])
+    t = np.linalg.solve(k, p[:, 3])
     k = k / k[2, 2]
+    # Our cameras have the centre of the first pixel at 0.5.
     half = 0.5 - first_pixel
     return camera_from_extrinsics(
-        turn,
-        shift,
+        r,
+        t,
         width=width,
         height=height,
         fx=k[0, 0],
@@ -204,8 +208,8 @@ def camera_from_matrix(
 
 
 def camera_from_extrinsics(
-    turn: Float[np.ndarray, "3 3"],
-    shift: Float[np.ndarray, "3"],
+    rotation: Float[np.ndarray, "3 3"],
+    translation: Float[np.ndarray, "3"],
     **intrinsics: Any,
 ) -> PinholeCamera:
     """A camera from a rotation R and translation t: x = R X + t.
@@ -215,23 +219,27 @@ def camera_from_extrinsics(
 
     **Arguments:**
 
-    - `turn`, `shift`: R and t.
+    - `rotation`, `translation`: R and t, t in world units.
     - `intrinsics`: other arguments of [`PinholeCamera`][]; `cx` and `cy` count from the
         corner of the first pixel, not from its centre.
     """
-    to_world = np.column_stack([turn.T, -turn.T @ shift])
-    position, rotation = camera_pose(to_world, "opencv")
-    return PinholeCamera(**intrinsics, position=position, rotation=rotation)
+    to_world = np.column_stack([rotation.T, -rotation.T @ translation])
+    pose = camera_pose(to_world, "opencv")
+    return PinholeCamera(**intrinsics, position=pose.position, rotation=pose.rotation)
 
 
 def _signs(axes: Axes) -> Float[np.ndarray, "3"]:
+    """Factors 1 or −1 from a convention's x, y and z axis of a camera to ours."""
     return np.array(AXES[axes], float)
 
 
 def _numbers(
     name: str, value: Any, *shapes: tuple[int, ...]
 ) -> Float[np.ndarray, "..."]:
-    """`value` as finite numbers in double precision, of one of these shapes."""
+    """`value` as finite numbers in double precision, of one of these shapes.
+
+    **Raises:** `ValueError` that names `name`.
+    """
     array = as_array(name, value)
     if array.dtype.kind not in "biuf" or array.shape not in shapes:
         wanted = " or ".join(map(str, shapes))
@@ -244,9 +252,12 @@ def _numbers(
 
 
 def _as_rotation(name: str, matrix: np.ndarray) -> Float[np.ndarray, "3 3"]:
-    """The rotation nearest to a matrix, which may differ from one by rounding."""
+    """The rotation nearest to a matrix, which may differ from one by rounding.
+
+    **Raises:** `ValueError` that names `name` if the difference is larger.
+    """
     left, sizes, right = np.linalg.svd(matrix)
-    if np.abs(sizes - 1).max() > ROUNDED or np.linalg.det(matrix) < 0:
+    if np.abs(sizes - 1).max() > ROTATION_TOLERANCE or np.linalg.det(matrix) < 0:
         raise ValueError(
             f"{name}: expected a rotation, got axes that are scaled, sheared or "
             f"mirrored: lengths {np.linalg.norm(matrix, axis=0).round(4).tolist()}, "
@@ -256,6 +267,7 @@ def _as_rotation(name: str, matrix: np.ndarray) -> Float[np.ndarray, "3 3"]:
 
 
 def _from_rotation_vector(vector: np.ndarray) -> Float[np.ndarray, "3 3"]:
+    """The rotation about a vector by its length in radians."""
     # Imported here, since SciPy's transforms take long to import.
     from scipy.spatial.transform import Rotation
 
@@ -266,12 +278,15 @@ def _rq(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """RQ decomposition: an upper triangle with positive diagonal, and a rotation."""
     from scipy.linalg import rq
 
-    triangle, turn = rq(matrix)
+    triangle, rotation = rq(matrix)
+    # SciPy's diagonal may be negative: then a column of the triangle and the row of the
+    # rotation that it multiplies change sign together.
     signs = np.sign(np.diag(triangle))
-    return triangle * signs, signs[:, None] * turn
+    return triangle * signs, signs[:, None] * rotation
 
 
 def _opencv_distortion(given: Any, fisheye: bool) -> AbstractDistortion | None:
+    """The distortion with OpenCV's coefficients; `None` if there is no distortion."""
     array = as_array("distortion", () if given is None else given)
     if array.size == 0:
         # A fisheye lens without coefficients still differs from a pinhole.
@@ -283,9 +298,9 @@ def _opencv_distortion(given: Any, fisheye: bool) -> AbstractDistortion | None:
     values = [float(value) for value in array.ravel()]
     if fisheye:
         return FisheyeDistortion(*values)
-    if any(values[BROWN:]):
+    if any(values[N_BROWN:]):
         raise ValueError(
             "distortion: expected 0 as coefficients of a thin prism and a tilted "
-            f"sensor, which are not modelled, got {values[BROWN:]}"
+            f"sensor, which are not modelled, got {values[N_BROWN:]}"
         )
-    return BrownDistortion(*values[:BROWN]) if any(values) else None
+    return BrownDistortion(*values[:N_BROWN]) if any(values) else None

@@ -1,7 +1,8 @@
 r"""Lens distortion: from a direction to the place of its image, and back.
 
 Axes follow the sources of the formulas: x right, y down, z forward. A place is a point
-of the image plane at distance 1, before multiplication by focal lengths in pixels.
+(x, y) of the image plane at distance 1, before multiplication by focal lengths in
+pixels. For a fisheye lens its distance from (0, 0) is an angle in radians.
 """
 
 import abc
@@ -15,7 +16,7 @@ from jaxtyping import Array, Bool, Float
 from phongfit.checks import as_scalar
 from phongfit.vectors import Vec3, norm
 
-Place = Float[Array, "2"]
+PlanePoint = Float[Array, "2"]
 
 # In the first `CONTINUATION_STEPS` of Newton's method the target moves from the centre
 # to its place, so that the solution stays on the branch through the centre. Each later
@@ -32,19 +33,22 @@ class AbstractDistortion(eqx.Module):
     """
 
     @abc.abstractmethod
-    def bend(self, place: Place) -> Place:
-        """The distorted place of an undistorted one; (0, 0) maps to itself."""
+    def bend(self, place: PlanePoint) -> PlanePoint:
+        """The distorted place of an undistorted one. (0, 0) must map to itself."""
 
     @abc.abstractmethod
-    def ideal(self, direction: Vec3) -> Place:
-        """Image of a direction, of any length, without distortion."""
+    def ideal(self, direction: Vec3) -> PlanePoint:
+        """Undistorted place of a direction, which may have any length.
+
+        NaN for directions without one, such as those behind a pinhole.
+        """
 
     @abc.abstractmethod
-    def unproject(self, place: Place) -> Vec3:
-        """The direction, of any length, whose image without distortion this is."""
+    def unproject(self, place: PlanePoint) -> Vec3:
+        """A direction (of any length) with this undistorted place: see `ideal`."""
 
-    def place(self, direction: Vec3) -> Place:
-        """Place in the image of a direction, which may have any length.
+    def place(self, direction: Vec3) -> PlanePoint:
+        """Distorted place of a direction, which may have any length.
 
         NaN where the formula folds the image back onto itself, and for directions
         without an undistorted image, such as those behind a pinhole.
@@ -52,7 +56,7 @@ class AbstractDistortion(eqx.Module):
         ideal = self.ideal(direction)
         return jnp.where(_is_unfolded(self, ideal), self.bend(ideal), jnp.nan)
 
-    def direction(self, place: Place) -> tuple[Vec3, Bool[Array, ""]]:
+    def direction(self, place: PlanePoint) -> tuple[Vec3, Bool[Array, ""]]:
         """The direction (of any length) seen at a place, and whether there is one.
 
         There is none where the formula folds the image back on itself; the direction is
@@ -63,9 +67,12 @@ class AbstractDistortion(eqx.Module):
 
 
 def _invert(
-    distortion: AbstractDistortion, place: Place
-) -> tuple[Place, Bool[Array, ""]]:
-    """The inverse of `bend`, by Newton's method, and whether there is one."""
+    distortion: AbstractDistortion, place: PlanePoint
+) -> tuple[PlanePoint, Bool[Array, ""]]:
+    """The undistorted place of a distorted one, and whether there is one.
+
+    Derivatives are exact to second order.
+    """
     estimate, found = _search_inverse(*jax.lax.stop_gradient((distortion, place)))
     # Two more steps, from a known start, carry derivatives to second order.
     for _ in range(2):
@@ -74,10 +81,11 @@ def _invert(
     return estimate, found
 
 
-def _is_unfolded(distortion: AbstractDistortion, ideal: Place) -> Bool[Array, ""]:
-    """Whether the distortion can be inverted at a place.
+def _is_unfolded(distortion: AbstractDistortion, ideal: PlanePoint) -> Bool[Array, ""]:
+    """Whether the distortion can be inverted at an undistorted place.
 
-    Beyond the fold a place has the same image as another one nearer to the centre.
+    Where the formula folds the image back, two places have the same distorted place;
+    the inverse gives the one nearer to the centre.
     """
     constant, estimate = jax.lax.stop_gradient((distortion, ideal))
     back, found = _search_inverse(constant, constant.bend(estimate))
@@ -86,11 +94,17 @@ def _is_unfolded(distortion: AbstractDistortion, ideal: Place) -> Bool[Array, ""
 
 
 def _search_inverse(
-    constant: AbstractDistortion, end: Place
-) -> tuple[Place, Bool[Array, ""]]:
-    """The inverse of `bend` without derivatives, and whether there is one."""
+    constant: AbstractDistortion, end: PlanePoint
+) -> tuple[PlanePoint, Bool[Array, ""]]:
+    """The undistorted place of the distorted place `end`, and whether there is one.
 
-    def step(number: Array, state: tuple[Place, Array]) -> tuple[Place, Array]:
+    By Newton's method; not differentiable.
+    """
+
+    def step(
+        number: Array, state: tuple[PlanePoint, Array]
+    ) -> tuple[PlanePoint, Array]:
+        """Step `number` of Newton's method, while the image is unfolded."""
         estimate, unfolded_so_far = state
         fraction = jnp.minimum((number + 1) / CONTINUATION_STEPS, 1)
         target = end * fraction.astype(end.dtype)
@@ -105,9 +119,13 @@ def _search_inverse(
 
 
 def _newton(
-    distortion: AbstractDistortion, estimate: Place, target: Place
-) -> tuple[Place, Bool[Array, ""]]:
-    """A Newton step towards bend(x) = `target`; and whether the image is unfolded."""
+    distortion: AbstractDistortion, estimate: PlanePoint, target: PlanePoint
+) -> tuple[PlanePoint, Bool[Array, ""]]:
+    """A Newton step towards bend(x) = `target`, and whether the image is unfolded.
+
+    It is unfolded where the Jacobian's determinant is positive; elsewhere the step is
+    zero.
+    """
     (a, b), (c, d) = jax.jacfwd(distortion.bend)(estimate)
     determinant = a * d - b * c
     unfolded = determinant > 0
@@ -119,7 +137,7 @@ def _newton(
 class BrownDistortion(AbstractDistortion):
     r"""Radial and tangential distortion, as OpenCV and COLMAP have it.
 
-    With $x = X/Z$, $y = Y/Z$ and $r^2 = x^2 + y^2$ the image is at
+    With $x = X/Z$, $y = Y/Z$ and $r^2 = x^2 + y^2$ the distorted place is
 
     $$x' = c\,x + 2 p_1 x y + p_2 (r^2 + 2 x^2) \qquad
     y' = c\,y + p_1 (r^2 + 2 y^2) + 2 p_2 x y$$
@@ -160,7 +178,7 @@ class BrownDistortion(AbstractDistortion):
         self.k4, self.k5, self.k6 = map(as_scalar, ("k4", "k5", "k6"), (k4, k5, k6))
         self.p1, self.p2 = as_scalar("p1", p1), as_scalar("p2", p2)
 
-    def bend(self, place: Place) -> Place:
+    def bend(self, place: PlanePoint) -> PlanePoint:
         x, y = place
         r2 = x * x + y * y
         above = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
@@ -173,16 +191,18 @@ class BrownDistortion(AbstractDistortion):
             ]
         )
 
-    def ideal(self, direction: Vec3) -> Place:
+    def ideal(self, direction: Vec3) -> PlanePoint:
         return flat(direction)
 
-    def unproject(self, place: Place) -> Vec3:
+    def unproject(self, place: PlanePoint) -> Vec3:
         return jnp.append(place, jnp.ones_like(place[0]))
 
 
 class FisheyeDistortion(AbstractDistortion):
-    r"""A fisheye lens: the image of a direction $\theta$ off the axis is $\theta_d$ off
-    the centre.
+    r"""A fisheye lens: the angle $\theta$ off the axis becomes a distance $\theta_d$.
+
+    $\theta_d$ is measured from the image's centre, in focal lengths, and $\theta$ in
+    radians.
 
     $$\theta_d = \theta (1 + k_1 \theta^2 + k_2 \theta^4 + k_3 \theta^6
     + k_4 \theta^8)$$
@@ -208,14 +228,15 @@ class FisheyeDistortion(AbstractDistortion):
         names = ("k1", "k2", "k3", "k4")
         self.k1, self.k2, self.k3, self.k4 = map(as_scalar, names, (k1, k2, k3, k4))
 
-    def bend(self, place: Place) -> Place:
+    def bend(self, place: PlanePoint) -> PlanePoint:
         x, y = place
         a2 = x * x + y * y
         return place * (
             1 + a2 * (self.k1 + a2 * (self.k2 + a2 * (self.k3 + a2 * self.k4)))
         )
 
-    def ideal(self, direction: Vec3) -> Place:
+    def ideal(self, direction: Vec3) -> PlanePoint:
+        """The place at the angle of a direction off the axis, radians, from (0, 0)."""
         across, depth = direction[:2], direction[2]
         length = norm(across)
         off = length > 0
@@ -223,14 +244,14 @@ class FisheyeDistortion(AbstractDistortion):
         ratio = jnp.arctan2(length, depth) / jnp.where(off, length, 1)
         return jnp.where(off, ratio, 1 / jnp.where(depth > 0, depth, 1)) * across
 
-    def unproject(self, place: Place) -> Vec3:
+    def unproject(self, place: PlanePoint) -> Vec3:
         angle = norm(place)
         off = angle > 0
         ratio = jnp.where(off, jnp.sin(angle) / jnp.where(off, angle, 1), 1)
         return jnp.append(ratio * place, jnp.cos(angle))
 
 
-def flat(direction: Vec3) -> Place:
-    """Image of a direction through a pinhole; NaN for directions behind the camera."""
+def flat(direction: Vec3) -> PlanePoint:
+    """Place (X/Z, Y/Z) of a direction (X, Y, Z); NaN behind the pinhole, for Z ≤ 0."""
     ahead = direction[2] > 0
     return direction[:2] / jnp.where(ahead, direction[2], jnp.nan)

@@ -11,16 +11,21 @@ from phongfit.geometry.cameras import Ray
 from phongfit.geometry.raytracing import blocked
 
 LIFT = 0.5
-"""Offset of a shadow ray's start, in pixels: it clears the triangles at its pixel."""
+"""Offset of a shadow ray's start towards the light, in distances between pixels.
+
+So the triangles around its own pixel do not block the ray."""
 
 
 def grid_faces(height: int, width: int) -> Int[np.ndarray, "faces 3"]:
-    """Two triangles between every four neighbours, by the pixels' flat indices.
+    """Two triangles between every four neighbouring pixels.
 
-    Their common side runs from the upper left to the lower right.
+    Their common side runs from the upper left to the lower right pixel.
+
+    **Returns:** flat indices (row · width + column) of the corners, counter-clockwise
+    in an image with row 0 at the top.
     """
-    at = np.arange(height * width).reshape(height, width)
-    a, b, c, d = at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]
+    index = np.arange(height * width).reshape(height, width)
+    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
     halves = ((a, b, c), (a, c, d))
     return np.concatenate([np.stack(half, -1).reshape(-1, 3) for half in halves])
 
@@ -34,8 +39,9 @@ def faces_within(mask: Bool[np.ndarray, "height width"]) -> Int[np.ndarray, "fac
 class Triangles(NamedTuple):
     """Triangles between neighbouring pixels, which cast shadows.
 
-    - `vertices`, `faces`: its triangles.
-    - `lift`: offset of a shadow ray's start from the surface, world units.
+    - `vertices`: the points of all pixels, world units.
+    - `faces`: indices of the triangles' corners.
+    - `lift`: offset of a shadow ray's start towards the light, world units.
     """
 
     vertices: Float[Array, "pixels 3"]
@@ -50,8 +56,8 @@ class Triangles(NamedTuple):
     ) -> Bool[Array, "*batch"]:
         """Whether triangles block the light on its way to points of the surface.
 
-        **Arguments:** the points, unit vectors to the light, and how far away it is
-        (may be inf).
+        **Arguments:** `start`: the points; `to_light`: unit vectors to the light;
+        `distance`: how far away it is (may be inf), world units.
         """
         if not len(self.faces):
             return jnp.zeros(distance.shape, bool)
@@ -64,7 +70,7 @@ def triangles(
 ) -> Triangles:
     """The triangles between pixels inside a mask.
 
-    **Arguments:** `positions`: pixels' points, world units.
+    **Arguments:** `positions`: the point that each pixel sees, world units.
     """
     if isinstance(mask, Tracer):
         # The number of faces must not depend on a traced mask: faces outside of it
@@ -80,7 +86,11 @@ def triangles(
 def pixel_size(
     points: Float[Array, "height width 3"], mask: Bool[Array, "height width"]
 ) -> Float[Array, ""]:
-    """Approximate distance between the points of neighbouring pixels, world units."""
+    """Approximate distance between the points of neighbouring pixels, world units.
+
+    The diagonal of the box around all points inside the mask, over that in pixels; 1
+    if the mask is empty.
+    """
     height, width = mask.shape
     rows, columns = jnp.indices((height, width))
 
@@ -89,6 +99,6 @@ def pixel_size(
         return high - jnp.min(jnp.where(inside, values, jnp.inf), axis=(0, 1))
 
     across = jnp.linalg.norm(span(points, mask[..., None]))
-    where = jnp.stack([rows, columns], axis=-1).astype(points.dtype)
-    pixels = jnp.linalg.norm(span(where, mask[..., None]))
+    indices = jnp.stack([rows, columns], axis=-1).astype(points.dtype)
+    pixels = jnp.linalg.norm(span(indices, mask[..., None]))
     return jnp.where(mask.any(), across / jnp.maximum(pixels, 1), 1)

@@ -18,12 +18,14 @@ from phongfit.lights import AbstractLight
 
 CENTRES = ((0, 0),)
 CORNERS = ((-1, -1), (1, -1), (-1, 1), (1, 1))
-"""Points of a pixel tested for shadow: quarters of it (right, down) from its centre."""
+"""Points of a pixel that are tested for shadow: its centre, or four around it.
+
+By their offsets (right, down) from the centre, in quarters of a pixel."""
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class HeightField:
-    """A surface as a height for every pixel of a camera. Arrays are NumPy's."""
+    """A surface as a height for every pixel of a camera, in arrays of NumPy."""
 
     height: Float[np.ndarray, "height width"]
     pieces: Int[np.ndarray, "height width"]
@@ -36,15 +38,15 @@ class HeightField:
         return np.isfinite(self.height)
 
     def positions(self) -> Float[np.ndarray, "height width 3"]:
-        """Points of the surface, world units; 0 outside."""
+        """Points of the surface in the world's axes, world units; 0 outside."""
         return positions_at(self.height, self.camera)
 
     def mesh(self) -> Mesh:
-        """A mesh with two triangles for each 2 × 2 pixels, which face the camera.
+        """A mesh with two triangles, facing the camera, for each 2 × 2 pixels.
 
         Triangles with a corner outside the mask are left out.
 
-        **Raises:** `ValueError` if there is no triangle.
+        **Raises:** `ValueError` if no triangle has its corners in the mask.
         """
         faces = faces_within(self.mask)
         if not len(faces):
@@ -71,7 +73,8 @@ class HeightField:
 HeightField.__init__.__doc__ = """**Arguments:**
 
 - `height`: (H, W), the coordinate of the surface along the camera's z axis, which
-    points to the viewer: world units, from the world's origin on; NaN outside.
+    points from the scene to the camera: 0 at the world's origin, world units; NaN
+    outside.
 - `pieces`: (H, W), number of the mask's connected piece, from 1 on; 0 outside.
 - `camera`: the camera of these pixels.
 - `warnings`: what the normals do not determine, and what to try.
@@ -81,7 +84,11 @@ HeightField.__init__.__doc__ = """**Arguments:**
 def positions_at(
     height: Float[np.ndarray, "height width"], camera: AbstractCamera
 ) -> Float[np.ndarray, "height width 3"]:
-    """Points that pixels see at given heights, world units; 0 where there is none."""
+    """Points that pixels see at given heights, in the world's axes; 0 for NaN.
+
+    **Arguments:** `height`: as in [`HeightField`][], world units.
+    """
+    # Heights are along the camera's z axis, the third column of its rotation.
     rays, axis = camera.rays(), np.asarray(camera.rotation, float)[:, 2]
     origin, direction = (np.asarray(a, float) for a in (rays.origin, rays.direction))
     along = (height - origin @ axis) / (direction @ axis)
@@ -102,10 +109,10 @@ def cast_shadows(
 
     **Arguments:**
 
-    - `height`: (H, W), as [`HeightField`][] has it: NaN outside, where nothing is in
-        the way.
+    - `height`: (H, W), as in [`HeightField`][]: NaN outside, where nothing casts
+        shadows.
     - `camera`: the camera of these pixels.
-    - `lights`: distant or near.
+    - `lights`: lights with a direction, distant or near.
 
     **Returns:** for each light, true in its shadow; false outside.
 
@@ -113,8 +120,8 @@ def cast_shadows(
     """
     height = as_map("height", height, (camera.height, camera.width)).astype(float)
     fractions = shadow_shares(height, camera, lights, CENTRES)
-    found = [fraction > 0.5 for fraction in fractions]
-    return np.stack(found) if found else np.zeros((0, *height.shape), bool)
+    shadows = [fraction > 0.5 for fraction in fractions]
+    return np.stack(shadows) if shadows else np.zeros((0, *height.shape), bool)
 
 
 def shadow_shares(
@@ -125,13 +132,14 @@ def shadow_shares(
 ) -> Iterator[Float[np.ndarray, "height width"]]:
     """Fraction of each pixel that lies in cast shadow, for one light after the other.
 
-    **Arguments:** as in [`cast_shadows`][]; `places`: tested points, as `CORNERS`.
+    **Arguments:** as in [`cast_shadows`][]; `places`: points of a pixel that are
+    tested, by their offsets (right, down) in quarters of a pixel.
 
     **Returns:** numbers in [0, 1]; 0 outside.
     """
     mask, points = np.isfinite(height), positions_at(height, camera)
     surface = triangles(points, mask)
-    starts = np.stack([_within(points, mask, place)[mask] for place in places])
+    starts = np.stack([_offset_points(points, mask, place)[mask] for place in places])
     for light in lights:
         fraction = np.zeros(height.shape)
         if mask.any():
@@ -152,16 +160,19 @@ def as_map(name: str, value: Any, size: tuple[int, ...]) -> np.ndarray:
     return array
 
 
-def _within(
+def _offset_points(
     points: Float[np.ndarray, "height width 3"],
     mask: Bool[np.ndarray, "height width"],
-    place: tuple[int, int],
+    offset: tuple[int, int],
 ) -> Float[np.ndarray, "height width 3"]:
-    """Points on the triangles, a quarter of a pixel right of and below each pixel.
+    """Points of the triangles between pixels, a quarter of a pixel beside each pixel.
 
-    A pixel without a neighbour on that side gives its own point.
+    A neighbour outside the mask counts as if it had the pixel's own point.
+
+    **Arguments:** `offset`: (right, down), each −1 or 1, or (0, 0) for the pixels'
+    own points.
     """
-    right, down = place
+    right, down = offset
     if not right and not down:
         return points
     x, y = _neighbour(points, mask, right, 0), _neighbour(points, mask, 0, down)
@@ -174,7 +185,10 @@ def _within(
 def _neighbour(
     points: np.ndarray, mask: np.ndarray, right: int, down: int
 ) -> np.ndarray:
-    """The point of each pixel's neighbour; its own where there is none."""
+    """The point of each pixel's neighbour; its own where there is none.
+
+    **Arguments:** `right`, `down`: steps to the neighbour in pixels, −1, 0 or 1.
+    """
     padded = np.pad(points, ((1, 1), (1, 1), (0, 0)), mode="edge")
     has_point = np.pad(mask, 1)
     height, width = mask.shape

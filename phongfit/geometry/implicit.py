@@ -19,7 +19,7 @@ from phongfit.vectors import Scalar, Vec3, dot
 
 
 class ImplicitSurface(AbstractSurface):
-    r"""The places in a box where $F(p) = 0$, seen from where $F > 0$."""
+    r"""The points p of a box where $F(p) = 0$, seen from where $F > 0$."""
 
     function: Callable[[Vec3], Scalar]
     lower: Float[Array, "3"]
@@ -37,8 +37,9 @@ class ImplicitSurface(AbstractSurface):
     ):
         """**Arguments:**
 
-        - `function`: p → F(p), positive outside, written in `jax.numpy`; a callable
-            `equinox.Module` if its numbers should have gradients.
+        - `function`: p → F(p) of one point, shape (3,), world units; positive outside,
+            written in `jax.numpy`. A callable `equinox.Module` if its numbers should
+            have gradients.
         - `lower`, `upper`: corners of the box that is searched, world units.
         - `steps`: number of steps along a ray through the box; parts of the surface
             that are thinner than a step can be missed.
@@ -64,7 +65,7 @@ class ImplicitSurface(AbstractSurface):
         return trace_rays(self.intersect, camera)
 
     def intersect(self, ray: Ray) -> tuple[Vec3, Vec3, Bool[Array, ""]]:
-        """The first point where one ray enters the surface (F turns negative).
+        """The first point where one ray enters the object (F turns negative).
 
         **Returns:** position, unit normal, and whether the ray hits; if it does not,
         the first two are finite placeholders.
@@ -92,23 +93,25 @@ class ImplicitSurface(AbstractSurface):
         def one(
             position: Vec3, normal: Vec3, to_light: Vec3, distance: Scalar
         ) -> Array:
-            away = dot(normal, to_light) > 0
+            """Whether light reaches one point: from the front, with nothing between."""
+            in_front = dot(normal, to_light) > 0
             ray = Ray(position + lift * normal, to_light)
             near, far = self._span(ray)
             far = jnp.minimum(far, distance)
             hit, _, _ = self._first_entry(ray, near, far)
-            return away & ~hit
+            return in_front & ~hit
 
         for _ in distance.shape:
             one = jax.vmap(one)
         return one(position, normal, to_light, distance)
 
     def _span(self, ray: Ray) -> tuple[Scalar, Scalar]:
-        """Distances at which a ray enters the box, at least 0, and leaves it.
+        """Distances (≥ 0, world units) at which a ray enters the box and leaves it.
 
         If the ray misses the box, the first distance is the larger one.
         """
         along = ray.direction
+        # Instead of zero, by which the lines below would divide.
         tiny = jnp.finfo(along.dtype).tiny
         along = jnp.where(jnp.abs(along) > tiny, along, tiny)
         one = (self.lower - ray.origin) / along
@@ -119,28 +122,31 @@ class ImplicitSurface(AbstractSurface):
     def _first_entry(
         self, ray: Ray, near: Scalar, far: Scalar
     ) -> tuple[Bool[Array, ""], Scalar, Scalar]:
-        """The first step along the ray in which F turns negative.
+        """The first step along the ray in which F falls from positive to ≤ 0.
+
+        **Arguments:** `near`, `far`: distances between which the ray is searched.
 
         **Returns:** whether there is one, and the distances of its two ends.
         """
         near, far = jax.lax.stop_gradient((near, far))
         through = far > near
         near, far = jnp.where(through, near, 0), jnp.where(through, far, 1)
-        width = (far - near) / self.steps
+        length = (far - near) / self.steps
 
         def value(distance: Scalar) -> Scalar:
             return self.function(ray.at(distance))
 
         def step(carry: tuple[Array, Array, Array], i: Array) -> tuple[Any, None]:
+            # `entry`: end of the step that enters; `last`: F at the step's start.
             has_entered, entry, last = carry
-            end = near + (i + 1).astype(near.dtype) * width
+            end = near + (i + 1).astype(near.dtype) * length
             now = value(end)
             enters = ~has_entered & (last > 0) & (now <= 0)
             return (has_entered | enters, jnp.where(enters, end, entry), now), None
 
         start = (jnp.array(False), far, value(near))
         (has_entered, entry, _), _ = jax.lax.scan(step, start, jnp.arange(self.steps))
-        return has_entered & through, entry - width, entry
+        return has_entered & through, entry - length, entry
 
     def _polish(self, ray: Ray, distance: Scalar, hit: Bool[Array, ""]) -> Scalar:
         r"""Improve `distance` by a Newton step; derivatives of every order are exact.
@@ -169,12 +175,15 @@ class ImplicitSurface(AbstractSurface):
         return jax.lax.custom_root(residual, distance, solve, divide)
 
     def _bisect(self, ray: Ray, before: Scalar, after: Scalar) -> Scalar:
+        """Distance of the root of F between two distances, F > 0 at the first."""
+
         def halve(_: Any, span: tuple[Array, Array]) -> tuple[Array, Array]:
             low, high = span
             middle = (low + high) / 2
             outside = self.function(ray.at(middle)) > 0
             return jnp.where(outside, middle, low), jnp.where(outside, high, middle)
 
+        # Two thirds of the digits: the Newton step of `_polish` gives the others.
         halvings = 2 * np.finfo(before.dtype).nmant // 3
         low, high = jax.lax.fori_loop(0, halvings, halve, (before, after))
         return (low + high) / 2

@@ -10,7 +10,8 @@ and for a pinhole, where a point is depth d times a ray r, the ratio of the dept
 
     $\log d_2 - \log d_1 = \log (s \cdot r_1 / s \cdot r_2)$.
 
-Both prescribe differences of the heights u of neighbouring pixels. Least squares over
+Both prescribe differences of a number u of neighbouring pixels: their height h, or the
+logarithm of their depth d. Least squares over
 all pairs is a sparse system, a weighted Laplacian. At a depth discontinuity no u
 satisfies them, so pairs are down-weighted by their residuals, iteratively.
 
@@ -34,7 +35,9 @@ from phongfit.geometry.cameras import AbstractCamera, OrthographicCamera
 from phongfit.geometry.height import HeightField, as_map
 
 MIN_COSINE = 0.02
-"""Least cosine between normal and ray; below it the slope is too uncertain."""
+"""Least cosine of the angle between the normal and the direction to the camera.
+
+Below it the slope is too uncertain."""
 
 HALF_WEIGHT_ERROR = 1.0
 """Standard error at which a normal has half the weight of an exact one, degrees."""
@@ -50,8 +53,8 @@ class _Pairs(NamedTuple):
     """Pairs of neighbouring pixels.
 
     - `first`, `second`: indices of the two pixels.
-    - `step`: prescribed difference of their heights u.
-    - `cosine`: between normal and ray.
+    - `step`: prescribed difference u(second) − u(first).
+    - `cosine`: of the angle between the normal and the direction to the camera.
     - `pixel`: distance between the two pixels, in the unit of u.
     """
 
@@ -81,19 +84,22 @@ def integrate_normals(
     **Arguments:**
 
     - `normals`: (H, W, 3) in the camera's axes (x right, y up, z to the camera), of any
-        length; 0 is outside.
+        length. A pixel of the mask whose normal is 0 or points away from the camera
+        follows its neighbours.
     - `camera`: default an orthographic one with a view of one world unit for each
         pixel, so that heights are in pixels.
-    - `mask`: (H, W), true inside; default where there are normals. Outside of it
+    - `mask`: (H, W), true inside; default where normals are not 0. Outside of it
         normals may be NaN.
-    - `stderr`: (H, W), standard errors of the normals in degrees; pairs of neighbours
-        are weighted by them. A pixel with an infinite one follows its neighbours.
+    - `stderr`: (H, W), standard errors ≥ 0 of the normals in degrees; pairs of
+        neighbours are weighted by them. A pixel with an infinite one follows its
+        neighbours.
     - `depth`: (H, W), known distances along the camera's axis, world units, NaN where
         they are unknown. Each piece is moved so that the medians agree.
-    - `distance`: median distance of a piece without known distances; default that of
-        the world's origin.
+    - `distance`: median distance along the camera's axis of a piece without known
+        distances, > 0, world units; default that of the world's origin.
 
-    **Returns:** a [`HeightField`][]; its `warnings` name pieces of unknown distance.
+    **Returns:** a [`HeightField`][]; its `warnings` count pieces whose relative depth
+    is unknown, and pixels without a usable normal.
 
     **Raises:** `ValueError` that names the argument.
     """
@@ -128,20 +134,24 @@ def integrate_normals(
     field = _fill_invalid(field / np.maximum(length, 1e-30)[..., None], valid)
     weight = np.where(valid, weight, UNIDENTIFIED_WEIGHT)
     pieces = label_pieces(inside)
-    steps = _solve(_pairs(field, inside, rays), weight[inside], int(inside.sum()))
     u = np.full(size, np.nan)
-    u[inside] = steps
+    u[inside] = _solve(_pairs(field, inside, rays), weight[inside], int(inside.sum()))
     known_depth = np.full(size, np.nan)
     if depth is not None:
         known_depth = as_map("depth", depth, size).astype(float)
     depths = _depths(u, pieces, rays.parallel, known_depth, default_depth)
-    height = float(np.dot(camera.position, camera.rotation[:, 2])) - depths
+    # The camera's own height above the world's origin, along its z axis.
+    top = float(np.dot(camera.position, camera.rotation[:, 2]))
+    height = top - depths
     warnings = _warnings(inside, valid, pieces, known_depth)
     return HeightField(height, pieces, camera, warnings)
 
 
 class _Rays(NamedTuple):
-    """Rays of all pixels in the camera's axes; directions have z = −1."""
+    """Rays of all pixels in the camera's axes; directions have z = −1.
+
+    `parallel` is true if all directions are the same.
+    """
 
     origin: Float[np.ndarray, "height width 3"]
     direction: Float[np.ndarray, "height width 3"]
@@ -149,6 +159,7 @@ class _Rays(NamedTuple):
 
 
 def _rays(camera: AbstractCamera) -> _Rays:
+    """A camera's rays in its own axes, world units from its position."""
     rays, axes = camera.rays(), np.asarray(camera.rotation, float)
     origin = (np.asarray(rays.origin, float) - np.asarray(camera.position)) @ axes
     direction = np.asarray(rays.direction, float) @ axes
@@ -162,7 +173,11 @@ def _pairs(
     inside: Bool[np.ndarray, "height width"],
     rays: _Rays,
 ) -> _Pairs:
-    """All pairs of neighbours: those in rows, then those in columns."""
+    """All pairs of neighbours inside: those in rows, then those in columns.
+
+    **Arguments:** `normals`: unit vectors in the camera's axes.
+    """
+    # Index of each pixel among those inside.
     number = np.cumsum(inside).reshape(inside.shape) - 1
     parts = []
     for first, second in (
@@ -195,18 +210,23 @@ def _pairs(
 def _solve(
     pairs: _Pairs, weight: Float[np.ndarray, " pixels"], count: int
 ) -> Float[np.ndarray, " pixels"]:
-    """Heights by robust least squares: pairs across discontinuities lose weight."""
+    """The numbers u of the pixels: see the module's docstring for u and the method.
+
+    **Arguments:** `weight`: of each pixel's normal, in (0, 1]; `count`: of pixels.
+    """
+    # A pair's weight is the harmonic mean of its pixels' weights, and its residual is
+    # measured perpendicular to the surface, in pixels.
     ends = weight[pairs.first], weight[pairs.second]
     base = pairs.cosine**2 * 2 / (1 / ends[0] + 1 / ends[1]) / pairs.pixel**2
     heights = _least_squares(pairs, base, np.zeros(count))
-    width = FIRST_SCALE
+    scale = FIRST_SCALE
     for _ in range(MAX_ITERATIONS):
         residual = heights[pairs.second] - heights[pairs.first] - pairs.step
         gap = np.abs(pairs.cosine * residual / pairs.pixel)
         if gap.max(initial=0) < LAST_SCALE:
             break
-        heights = _least_squares(pairs, base / (1 + (gap / width) ** 2) ** 2, heights)
-        width = max(0.7 * width, LAST_SCALE)
+        heights = _least_squares(pairs, base / (1 + (gap / scale) ** 2) ** 2, heights)
+        scale = max(0.7 * scale, LAST_SCALE)
     return heights
 
 
@@ -215,7 +235,11 @@ def _least_squares(
     weight: Float[np.ndarray, " pairs"],
     start: Float[np.ndarray, " pixels"],
 ) -> Float[np.ndarray, " pixels"]:
-    """Conjugate gradients, with algebraic multigrid: linear in the number of pixels."""
+    """The numbers u that fit the pairs' steps best in weighted least squares.
+
+    By conjugate gradients with algebraic multigrid, in a time proportional to the
+    number of pixels. `start` determines what the pairs do not: the mean of each piece.
+    """
     # Imported here, since they take long to import.
     import pyamg
     from scipy.sparse import coo_array, csr_array, eye_array
@@ -235,7 +259,7 @@ def _least_squares(
         )
     )
     system = csr_array(difference.T @ (difference * weight[:, None]))
-    # Neighbours do not determine the mean height of a piece. A tiny weight on `start`
+    # Neighbours do not determine the mean of u in a piece. A tiny weight on `start`
     # makes the system regular.
     regularisation = 1e-10 * system.diagonal().max()
     system = csr_array(system + regularisation * eye_array(len(start), format="csr"))
@@ -249,7 +273,10 @@ def _least_squares(
 def label_pieces(
     inside: Bool[np.ndarray, "height width"],
 ) -> Int[np.ndarray, "height width"]:
-    """Number of each pixel's piece (connected by sides), from 1 on; 0 outside."""
+    """Number of each pixel's connected piece, from 1 on; 0 outside.
+
+    Pixels are connected by their sides, not by their corners.
+    """
     from scipy.ndimage import label
 
     pieces, _ = label(inside)  # pyright: ignore
@@ -283,11 +310,13 @@ def _depths(
     known_depth: Float[np.ndarray, "height width"],
     default_depth: float,
 ) -> Float[np.ndarray, "height width"]:
-    """Depth of every pixel.
+    """Depth of every pixel along the camera's axis, world units; NaN outside.
 
     `u` is a height (parallel rays) or a log depth (pinhole), up to a constant for each
     piece. The constant makes the median depth of pixels with a `known_depth` (not
     NaN) that of `known_depth`. A piece without any gets the median `default_depth`.
+
+    **Raises:** `ValueError` if the median depth from a pinhole is not positive.
     """
     from scipy.ndimage import median
 
@@ -315,7 +344,10 @@ def _depths(
 
 
 def _default_depth(distance: float | None, camera: AbstractCamera) -> float:
-    """The given distance; by default that of the world's origin along the axis."""
+    """The given distance; for `None` that of the world's origin along the axis.
+
+    **Raises:** `ValueError` if the given distance is not finite and positive.
+    """
     if distance is None:
         return float(np.dot(camera.position, camera.rotation[:, 2]))
     if not np.isfinite(distance) or not distance > 0:
@@ -329,7 +361,7 @@ def _warnings(
     pieces: np.ndarray,
     known_depth: np.ndarray,
 ) -> tuple[str, ...]:
-    """Warnings of pieces of unknown depth, and of pixels without a valid normal."""
+    """Warnings of pieces without `known_depth`, and of pixels that are not `valid`."""
     warnings = []
     count = int(pieces.max())
     placed = {*pieces[np.isfinite(known_depth)].tolist()} - {0}
@@ -351,6 +383,10 @@ def _warnings(
 
 
 def _as_normals(normals: Any) -> Float[np.ndarray, "height width 3"]:
+    """`normals` in double precision, of shape (H, W, 3) and not empty.
+
+    **Raises:** `ValueError` for another shape or type.
+    """
     field = as_array("normals", normals)
     if field.ndim != 3 or field.shape[-1] != 3 or 0 in field.shape:
         raise ValueError(

@@ -1,4 +1,4 @@
-"""Triangle meshes: what a camera sees of them, and where they can be lit."""
+"""Triangle meshes: their tracing, textures, normal maps and shadows."""
 
 import functools
 from collections.abc import Iterable
@@ -112,18 +112,20 @@ class Mesh(AbstractSurface):
         """**Arguments:**
 
         - `vertices`: (V, 3), world units.
-        - `faces`: (F, 3) indices of vertices, counter-clockwise seen from outside.
-        - `normals`: (V, 3), of any length; default computed from the faces around.
+        - `faces`: (F, 3) indices of vertices from 0 on, counter-clockwise seen from
+            outside.
+        - `normals`: (V, 3), of any length; default computed from the faces around each
+            vertex.
         - `material_index`: (F,) whole numbers ≥ 0: which of several materials a face is
             made of. For M materials, each parameter of the `Material` has shape (M, 3),
             (M, 1) or ().
         - `uv`: (F, 3, 2): where in a texture each corner of a face lies; (0, 0) is the
             texture's upper left corner, (1, 1) its lower right one.
-        - `textures`: what multiplies the parameters of the `Material`: one for all
-            materials, or one for each. [`VertexColours`][] have a row for each of
-            `vertices`, and need no uv.
-        - `weighting`: how the faces around a vertex count in its normal: by their
-            `"area"`, or by their `"angle"` at the vertex.
+        - `textures`: factors on the parameters of the `Material`: one [`Textures`][]
+            for all materials, or one for each. [`VertexColours`][] have a row for each
+            of `vertices`, and need no uv.
+        - `weighting`: weights of the faces around a vertex in its normal: their
+            `"area"`, or their `"angle"` at the vertex.
         - `crease_angle`: degrees; an edge between faces whose normals differ by more is
             sharp, and its vertices are doubled. Default: every edge is smooth.
         - `two_sided`: a face is seen from behind too, its normal turned to the viewer.
@@ -152,7 +154,10 @@ class Mesh(AbstractSurface):
         given_count, source_vertex = len(vertices), None
         if crease_angle is not None:
             if normals is not None:
-                raise ValueError("crease_angle: only for normals that are computed")
+                raise ValueError(
+                    "crease_angle: expected None where normals are given, since it is "
+                    "about computing them"
+                )
             angle = float(as_scalar("crease_angle", crease_angle))
             # The search for creases is not differentiated.
             fixed = np.asarray(jax.lax.stop_gradient(vertices))
@@ -184,8 +189,8 @@ class Mesh(AbstractSurface):
     def with_textures(self, textures: Iterable[Textures] | Textures | None) -> "Mesh":
         """This mesh with other textures; `None` for none.
 
-        **Raises:** `ValueError` if the mesh has no uv, or if its numbers of materials
-        or vertices do not match the textures.
+        **Raises:** `ValueError` if textures are images and the mesh has no uv, or if
+        its numbers of materials or vertices do not match the textures.
         """
         count = len(self.vertices)
         chosen = _as_textures(textures, self.uv, self._materials, count)
@@ -194,20 +199,23 @@ class Mesh(AbstractSurface):
         )
 
     def place(self, gbuffer: GBuffer) -> Place:
-        """The point of the surface that each pixel sees."""
+        """The point of the surface that each pixel sees, for looking up textures."""
         face, weights = gbuffer.face, gbuffer.barycentrics
         assert face is not None and weights is not None
         return Place(self.faces[face], weights, gbuffer.uv, gbuffer.material_index)
 
     def factors(self, gbuffer: GBuffer) -> Factors | None:
         if self.textures is None:
+            # `None` stands for factors of 1.
             return None
         return factors(self.textures, self.place(gbuffer))
 
     def exponents(self, gbuffer: GBuffer) -> Float[Array, "*pixels"] | None:
         if self.textures is None:
+            # `None` stands for factors of 1.
             return None
         factor = looked_up("shininess", self.textures, self.place(gbuffer))
+        # Textures of the exponent have one channel.
         return None if factor is None else factor[..., 0]
 
     def vertex_normals(self) -> Float[Array, "vertices 3"]:
@@ -222,6 +230,12 @@ class Mesh(AbstractSurface):
 
     @checked
     def trace(self, camera: AbstractCamera) -> GBuffer:
+        """The point of this mesh that each pixel of `camera` sees.
+
+        It warns if no pixel sees the mesh.
+
+        **Raises:** `ValueError` if the camera lies in a face.
+        """
         triangles = self.vertices, self.faces
         rays, seen, inside = _camera_rays(*triangles, camera, self.two_sided)
         inside = jax.lax.stop_gradient(inside)
@@ -233,8 +247,8 @@ class Mesh(AbstractSurface):
         if not isinstance(face, Tracer) and not np.any(np.asarray(face) >= 0):
             warn(
                 "nothing-seen",
-                "surface: no pixel sees the mesh. It lies outside the view, or its "
-                "faces show their backs",
+                "surface: no pixel sees the mesh. It lies outside the view, or the "
+                "fronts of its faces point away from the camera",
                 stacklevel=3,
             )
         return _interpolate(self, camera, rays, face)
@@ -253,6 +267,7 @@ class Mesh(AbstractSurface):
 
 
 def _as_uv(value: Any, faces: int) -> Float[Array, "faces 3 2"] | None:
+    """`value` as uv of this number of faces; `None` stays `None`; else `ValueError`."""
     if value is None:
         return None
     uv = as_floats("uv", value)
@@ -264,6 +279,12 @@ def _as_uv(value: Any, faces: int) -> Float[Array, "faces 3 2"] | None:
 def _as_textures(
     value: Any, uv: Array | None, materials: int, vertices: int
 ) -> tuple[Textures, ...] | None:
+    """`value` as textures of a mesh; `None` stays `None`.
+
+    **Arguments:** `materials`, `vertices`: their numbers; the textures must match them.
+
+    **Raises:** `ValueError` that names the fault.
+    """
     if value is None:
         return None
     textures = (value,) if isinstance(value, Textures) else tuple(value)
@@ -294,7 +315,11 @@ def _lift_rays(
     ray: Ray,
     distance: Float[Array, "*batch"],
 ) -> tuple[Ray, Float[Array, "*batch"]]:
-    """Shadow rays and distances, with starts moved off the face towards the light."""
+    """Shadow rays and distances, with starts moved off the face on the light's side.
+
+    They are moved along the surface's unit `normal`, so that rounding does not put them
+    behind their own face.
+    """
     precision = float(jnp.finfo(normal.dtype).eps)
     furthest = jnp.max(jnp.abs(vertices[faces.ravel()]))
     lift = LIFT * _size(vertices, faces) + ROUNDINGS * precision * furthest
@@ -306,6 +331,7 @@ def _lift_rays(
 def _size(
     vertices: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"]
 ) -> Float[Array, ""]:
+    """Longest side of the box around a mesh, world units."""
     used = vertices[faces.ravel()]
     return jnp.max(jnp.max(used, axis=0) - jnp.min(used, axis=0))
 
@@ -313,6 +339,7 @@ def _size(
 def _in_face(point: Vec3, a: Vec3, b: Vec3, c: Vec3, slack: Array) -> Bool[Array, ""]:
     """Whether a point lies in a triangle, to within `slack` world units."""
     normal = normalize(face_normal(a, b, c))
+    # A degenerate triangle has the normal 0, and contains no point.
     in_plane = jnp.abs(dot(point - a, normal)) <= slack
     inward = [
         dot(jnp.cross(end - start, point - start), normal) >= -slack * norm(end - start)
@@ -328,7 +355,10 @@ def _camera_rays(
     camera: AbstractCamera,
     two_sided: bool,
 ) -> tuple[Ray, Bool[Array, " faces"], Bool[Array, ""]]:
-    """The camera's rays, the faces turned to it, and whether it lies in a face."""
+    """The camera's rays, the faces that it can see, and whether it lies in a face.
+
+    Faces turned away can be seen if the mesh is two-sided; degenerate ones never.
+    """
     a, b, c = jnp.moveaxis(vertices[faces], 1, 0)
     to_viewer = jax.vmap(camera.to_viewer)(a)
     toward = jnp.sum(jax.vmap(face_normal)(a, b, c) * to_viewer, axis=-1)
@@ -339,7 +369,7 @@ def _camera_rays(
 
 
 def barycentrics(ray: Ray, a: Vec3, b: Vec3, c: Vec3) -> Vec3:
-    """Weights of a triangle's corners where a ray meets its plane.
+    """Weights of a triangle's corners where one ray meets its plane.
 
     Since they come from the ray and not from the image plane, what is interpolated with
     them is perspective-correct.
@@ -372,6 +402,7 @@ def _interpolate(
     corners = mesh.faces[face]
     a, b, c = jnp.moveaxis(mesh.vertices[corners], -2, 0)
     weights = jax.vmap(jax.vmap(barycentrics))(rays, a, b, c)
+    # (1, 0, 0), where the ray meets no face.
     at_first_corner = jnp.eye(3, dtype=weights.dtype)[0]
     weights = jnp.where(mask[..., None], weights, at_first_corner)
 
@@ -390,6 +421,7 @@ def _interpolate(
         place = Place(corners, weights, uv, index)
         normal = _apply_normal_maps(mesh, normal, face, place)
     if mesh.two_sided:
+        # Where the back of a face is seen, its normals are turned to the viewer.
         behind = jnp.sum(surface_normal * to_viewer, axis=-1, keepdims=True) < 0
         normal = jnp.where(behind, -normal, normal)
         surface_normal = jnp.where(behind, -surface_normal, surface_normal)
@@ -412,7 +444,7 @@ def _apply_normal_maps(
     face: Int[Array, "height width"],
     place: Place,
 ) -> Float[Array, "height width 3"]:
-    """Apply the mesh's normal maps, if it has any, to interpolated normals."""
+    """The interpolated unit normals, turned by the mesh's normal maps if it has any."""
     textures = () if mesh.textures is None else mesh.textures
     local = looked_up("normal", textures, place)
     if local is None or mesh.uv is None:
@@ -427,7 +459,10 @@ def tangents(
 ) -> tuple[Vec3, Vec3]:
     r"""$\partial p / \partial u$ and $\partial p / \partial v$ on a triangle.
 
-    **Returns:** two vectors, not of unit length; zero where the uv have no area.
+    **Arguments:** `corners`, `uv`: points and texture coordinates of its corners.
+
+    **Returns:** two vectors, world units per unit of u and v; zero where the triangle's
+    uv have no area.
     """
     one, other = corners[1] - corners[0], corners[2] - corners[0]
     (a, b), (c, d) = uv[1] - uv[0], uv[2] - uv[0]
@@ -438,11 +473,12 @@ def tangents(
 
 
 def turned(local: Vec3, normal: Vec3, along_u: Vec3, along_v: Vec3) -> Vec3:
-    """Turn a normal by a normal map's vector.
+    """The unit normal that a normal map gives at one point.
 
     **Arguments:** `local`: the map's vector: components along u, −v and outwards;
-    `normal`: the unit normal without the map; `along_u`, `along_v`: [`tangents`][];
-    zero tangents leave it unchanged.
+    `normal`: the unit normal without the map; `along_u`, `along_v`: [`tangents`][].
+
+    **Returns:** a unit vector; `normal` itself where the tangents or `local` are zero.
 
     ??? cite "Source"
         Khronos, *glTF 2.0*, 2021, section 3.9.3: the tangent is made perpendicular to
@@ -471,7 +507,7 @@ def join(meshes: Iterable[Mesh]) -> Mesh:
     if not meshes:
         raise ValueError("meshes: expected at least one, got none")
     if len({mesh.two_sided for mesh in meshes}) > 1:
-        raise ValueError("meshes: some are two-sided and some are not")
+        raise ValueError("meshes: expected all or none to be two-sided, got both kinds")
     faces, indices, vertices, materials = [], [], 0, 0
     total = sum(len(mesh.vertices) for mesh in meshes)
     with_uv = any(mesh.uv is not None for mesh in meshes)
@@ -480,8 +516,9 @@ def join(meshes: Iterable[Mesh]) -> Mesh:
         index = mesh.material_index
         index = np.zeros(len(mesh.faces), int) if index is None else np.asarray(index)
         textures_of_mesh = mesh.textures or (Textures(),)
+        # One texture for all materials of a mesh is repeated for each of them.
         textures_of_mesh *= mesh.materials // len(textures_of_mesh)
-        # Vertices of the other meshes, which have other materials: the factor is 1.
+        # At vertices of other meshes, which have other materials, the factor is 1.
         ends = (vertices, total - vertices - len(mesh.vertices)), (0, 0)
         padded = functools.partial(jnp.pad, pad_width=ends, constant_values=1)
         textures += [texture.rearranged(padded) for texture in textures_of_mesh]

@@ -36,7 +36,7 @@ def face_normals(
 
 
 def _angle(corner: Vec3, following: Vec3, preceding: Vec3) -> Scalar:
-    """Angle at a triangle's corner, radians: finite where two corners coincide."""
+    """Angle at a triangle's corner, radians; 0 where it coincides with another one."""
     edge_1, edge_2 = following - corner, preceding - corner
     sine, cosine = norm(jnp.cross(edge_1, edge_2)), dot(edge_1, edge_2)
     degenerate = (sine == 0) & (cosine == 0)
@@ -60,8 +60,8 @@ def vertex_normals(
     - `weighting`: $w$ is the face's `"area"`, or its `"angle"` at the vertex, which
         does not depend on how a polygon was cut into triangles.
 
-    **Returns:** zero, with zero gradient, for a vertex of no face and for one of
-    degenerate faces only.
+    **Returns:** unit vectors; zero, with zero gradient, for a vertex of no face and for
+    one of degenerate faces only.
 
     ??? cite "Source"
         Thürmer and Wüthrich, *Computing vertex normals from polygonal facets*, Journal
@@ -71,6 +71,7 @@ def vertex_normals(
     normals = jax.vmap(face_normal)(*corners)
     total = jnp.zeros_like(vertices)
     for k in range(3):
+        # Twice the area of a face is the length of its `face_normal`.
         contribution = normals
         if weighting == "angle":
             here, following, preceding = (corners[(k + i) % 3] for i in range(3))
@@ -83,7 +84,10 @@ def vertex_normals(
 def triangle_normals(
     triangles: Float[np.ndarray, "faces 3 3"],
 ) -> Float[np.ndarray, "faces 3"]:
-    """As [`face_normals`][], in NumPy: JAX compiles for each number of faces."""
+    """Unit normal of every triangle; zero for a degenerate one.
+
+    It is in NumPy, since JAX would compile [`face_normals`][] for each number of faces.
+    """
     a, b, c = np.moveaxis(triangles, 1, 0)
     normals = np.cross(b - a, c - a)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -113,7 +117,10 @@ def split_creases(
 
     normals = triangle_normals(vertices[faces].astype(float))
 
-    # Two entries that follow each other in `order` are two faces at the same edge.
+    # Corners are counted through all faces, each with the edge from it to the corner
+    # `after` it in its face; `low` and `high` are the face's corners at the edge's
+    # vertex of lower and higher index. Faces at the same edge follow each other in
+    # `order`.
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     corner = np.arange(faces.size)
     after = np.roll(corner.reshape(-1, 3), -1, axis=1).ravel()
@@ -123,6 +130,7 @@ def split_creases(
     order = np.lexsort(edge.T)
     first, second = order[:-1], order[1:]
     smooth = (edge[first] == edge[second]).all(axis=1)
+    # Corner k belongs to face k // 3.
     cosine = (normals[first // 3] * normals[second // 3]).sum(axis=1)
     smooth &= cosine >= np.cos(np.deg2rad(angle)) - 1e-9
     first, second = first[smooth], second[smooth]
@@ -140,11 +148,13 @@ def split_creases(
 def parametric_normal(
     function: Callable[[Scalar, Scalar], Vec3], u: Scalar, v: Scalar
 ) -> Vec3:
-    r"""Unit normal $\partial p / \partial u \times \partial p / \partial v$.
+    r"""Unit normal, along $\partial p / \partial u \times \partial p / \partial v$.
 
-    **Arguments:** `function`: (u, v) → p, in world units; `u`, `v`: where.
+    **Arguments:** `function`: (u, v) → p, in world units; `u`, `v`: parameters of the
+    point.
 
-    **Returns:** zero where the derivatives are parallel, as at the pole of a sphere.
+    **Returns:** a unit vector; zero where the derivatives are parallel, as at the pole
+    of a sphere.
     """
     along_u, along_v = jax.jacfwd(function, argnums=(0, 1))(u, v)
     return normalize(jnp.cross(along_u, along_v))
@@ -153,8 +163,8 @@ def parametric_normal(
 def implicit_normal(function: Callable[[Vec3], Scalar], position: Vec3) -> Vec3:
     r"""Unit normal $\nabla F / |\nabla F|$ of a surface $F = 0$ with $F > 0$ outside.
 
-    **Arguments:** `function`: p → F(p); `position`: where, world units.
+    **Arguments:** `function`: p → F(p); `position`: the point p, world units.
 
-    **Returns:** zero where the gradient is zero.
+    **Returns:** a unit vector; zero where the gradient is zero.
     """
     return normalize(jax.grad(function)(position))

@@ -40,8 +40,8 @@ def tessellate(
     **Arguments:**
 
     - `function`: (u, v) → p, world units; written in `jax.numpy`.
-    - `u`, `v`: first and last value of the parameters.
-    - `columns`, `rows`: steps in u and in v; each cell is two triangles.
+    - `u`, `v`: (first, last) value of each parameter.
+    - `columns`, `rows`: steps in u and in v, 1 to 65 536; each cell is two triangles.
     - `two_sided`: as in [`Mesh`][].
 
     **Raises:** `ValueError` that names the argument.
@@ -57,8 +57,8 @@ def tessellate(
     if shape != (3,):
         raise ValueError(f"function: expected points of shape (3,), got {shape}")
     if all(eqx.is_array(leaf) for leaf in jax.tree.leaves(function)):
-        # One program for each shape and size.
-        vertices, normals = _kept_grid(function, *ends, columns, rows)
+        # A module of arrays: one program for each class of function and size of grid.
+        vertices, normals = _cached_grid(function, *ends, columns, rows)
     else:
         # The function may read variables that change between calls: it is not cached.
         grid = jax.jit(functools.partial(_grid, function), static_argnums=(2, 3))
@@ -73,7 +73,12 @@ def _grid(
     columns: int,
     rows: int,
 ) -> tuple[Float[Array, "vertices 3"], Float[Array, "vertices 3"]]:
-    """Points of the surface, row by row, and unit normals there."""
+    """Points of the surface, and unit normals there.
+
+    **Arguments:** `u`, `v`: (first, last) value; `columns`, `rows`: numbers of steps.
+
+    **Returns:** (rows + 1) · (columns + 1) vertices, row by row: u runs first.
+    """
     us = jnp.linspace(u[0], u[1], columns + 1)
     vs = jnp.linspace(v[0], v[1], rows + 1)
     middle = (us[0] + us[-1]) / 2, (vs[0] + vs[-1]) / 2
@@ -94,10 +99,11 @@ def _grid(
     return points.reshape(-1, 3), normals.reshape(-1, 3)
 
 
-_kept_grid = program("columns", "rows")(_grid)
+_cached_grid = program("columns", "rows")(_grid)
 
 
 def _check_takes_two(function: Callable[..., Any]) -> None:
+    """Raise a `ValueError` for a function that cannot be called with u and v."""
     try:
         signature = inspect.signature(function)
     except ValueError:
@@ -112,7 +118,7 @@ def _check_takes_two(function: Callable[..., Any]) -> None:
 
 
 def _as_range(name: str, ends: Any) -> Float[Array, "2"]:
-    """First and last value of a parameter."""
+    """First and last value of a parameter; `ValueError` names `name`."""
     ends = as_floats(name, ends)
     if ends.shape != (2,):
         raise ValueError(f"{name}: expected shape (first, last), got {ends.shape}")
@@ -120,6 +126,7 @@ def _as_range(name: str, ends: Any) -> Float[Array, "2"]:
 
 
 def _check_steps(name: str, count: int) -> None:
+    """Raise a `ValueError` that names `name` for a number of steps out of range."""
     if not 1 <= count <= MAX_STEPS:
         raise ValueError(
             f"{name}: expected a whole number from 1 to {MAX_STEPS}, got {count!r}"
@@ -131,5 +138,6 @@ def _cell_faces(columns: int, rows: int) -> np.ndarray:
 
     `grid_faces` has y down; here v is up, so the faces run the other way round.
     """
+    # Each triangle with its second and third corner exchanged.
     lower, upper = np.split(grid_faces(rows + 1, columns + 1)[:, [0, 2, 1]], 2)
     return np.concatenate([upper, lower])

@@ -12,9 +12,10 @@ from phongfit.geometry.surfaces import NormalMap
 def plane_before(camera: AbstractCamera, through: Any = None) -> NormalMap:
     """A plane perpendicular to the camera's axis, seen by every pixel.
 
-    **Arguments:** `through`: a point of it, world units. Default: 1 in front of a
-    pinhole; the origin for parallel rays.
+    **Arguments:** `through`: a point of it, world units. Default: the origin for an
+    [`OrthographicCamera`][]; for other cameras a point 1 in front of their position.
     """
+    # The camera's z axis, which points from the scene to the camera.
     axis = np.asarray(camera.rotation)[:, 2]
     if through is not None:
         point = np.asarray(through)

@@ -33,7 +33,7 @@ def first_faces(
 
     - `vertices`, `faces`: the mesh.
     - `visible`: false for faces that rays pass through.
-    - `rays`: of any batch shape.
+    - `rays`: of any batch shape, with unit directions.
     """
     *batch, _ = rays.direction.shape
     shape = jax.ShapeDtypeStruct((*batch,), jnp.int32)
@@ -48,7 +48,7 @@ def blocked(
     rays: Ray,
     distance: Float[Array, "*batch"],
 ) -> Bool[Array, "*batch"]:
-    """Whether a face blocks each ray before `distance` (may be inf)."""
+    """Whether a face blocks each ray before `distance` (world units, may be inf)."""
     shape = jax.ShapeDtypeStruct(distance.shape, jnp.bool_)
     return _on_host(
         _blocked, shape, vertices, faces, rays.origin, rays.direction, distance
@@ -58,7 +58,10 @@ def blocked(
 def _on_host(
     function: Callable[..., np.ndarray], result: jax.ShapeDtypeStruct, *arrays: Array
 ) -> Array:
-    """Call a function of NumPy arrays, by a callback if an array is traced."""
+    """Call a function of NumPy arrays, by a callback if an array is traced.
+
+    **Arguments:** `result`: shape and type of what the function returns.
+    """
     # Derivatives stop here, which also makes the arrays concrete inside a plain `grad`.
     arrays = jax.lax.stop_gradient(arrays)
     if any(isinstance(array, Tracer) for array in arrays):
@@ -76,7 +79,10 @@ def _digest(arrays: tuple[np.ndarray, ...]) -> bytes:
 
 
 def _cache_last(size: int) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Keep the last `size` results of a function of arrays, by the arrays' content."""
+    """Decorator: keep the last `size` results of a function of arrays.
+
+    A result is returned again for arrays of the same shapes, types and contents.
+    """
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
         results: dict[bytes, Any] = {}
@@ -120,8 +126,9 @@ def _scene(vertices: np.ndarray, faces: np.ndarray) -> Any:
 class _Tree:
     """A mesh that is prepared for ray tracing.
 
-    Embree computes in float32. So the mesh is moved to the origin and scaled to size 1,
-    and rays start near it.
+    Embree computes in float32. So the mesh is moved to the origin and scaled to fit
+    into the unit sphere, and rays start near it. `center` and `size`, the sphere's
+    radius, are in world units.
     """
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray):
@@ -139,7 +146,13 @@ class _Tree:
         query: str,
         distance: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Index of the face that each ray meets: see [`FaceTree.run`][]."""
+        """Index of the face that each ray meets, −1 for none: see [`FaceTree.run`][].
+
+        **Arguments:** `origin`, `direction`: of shape (…, 3), world units; unit
+        directions; `distance`: limit of each ray, world units; default none.
+
+        **Returns:** a flat array, one number a ray.
+        """
         start = (origin.reshape(-1, 3) - self.center) / self.size
         along = direction.reshape(-1, 3)
         # The mesh lies within 1 of the origin: a ray may start 2 before its closest
@@ -148,9 +161,9 @@ class _Tree:
         start = start + skipped[:, None] * along
         limit = None
         if distance is not None:
-            left = distance.ravel() / self.size - skipped
+            remaining = distance.ravel() / self.size - skipped
             # A negative limit is Embree's mark of a ray that is blocked already.
-            limit = np.clip(left, 0, 1e30).astype(np.float32)
+            limit = np.clip(remaining, 0, 1e30).astype(np.float32)
         return self.scene.run(
             start.astype(np.float32), along.astype(np.float32), limit, query
         )
@@ -158,6 +171,7 @@ class _Tree:
 
 @_cache_last(4)
 def _tree(vertices: np.ndarray, faces: np.ndarray) -> _Tree:
+    """The tree of a mesh; those of the last four meshes are kept."""
     return _Tree(vertices, faces)
 
 
@@ -169,11 +183,12 @@ def _first_faces(
     origin: np.ndarray,
     direction: np.ndarray,
 ) -> np.ndarray:
+    """[`first_faces`][] on the host."""
     chosen = np.flatnonzero(visible)
     if len(chosen) == 0:
         return np.full(direction.shape[:-1], -1, np.int32)
-    found = _tree(vertices, faces[chosen]).run(origin, direction, "INTERSECT")
-    face = np.where(found < 0, -1, chosen[found]).astype(np.int32)
+    hits = _tree(vertices, faces[chosen]).run(origin, direction, "INTERSECT")
+    face = np.where(hits < 0, -1, chosen[hits]).astype(np.int32)
     return face.reshape(direction.shape[:-1])
 
 
@@ -185,5 +200,6 @@ def _blocked(
     direction: np.ndarray,
     distance: np.ndarray,
 ) -> np.ndarray:
-    found = _tree(vertices, faces).run(origin, direction, "OCCLUDED", distance)
-    return (found >= 0).reshape(distance.shape)
+    """[`blocked`][] on the host."""
+    hits = _tree(vertices, faces).run(origin, direction, "OCCLUDED", distance)
+    return (hits >= 0).reshape(distance.shape)

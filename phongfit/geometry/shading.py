@@ -1,7 +1,7 @@
 """Shading methods: where a surface is lit, and how that light spreads to the pixels.
 
-Light at the chosen points is linear in the reflectances, and so is what is interpolated
-from it: whatever the method, the image stays linear in them.
+Light at the chosen points is linear in the reflectances, and interpolation keeps it so:
+with each method the image is linear in them, unless light is clamped at the points.
 """
 
 import abc
@@ -18,7 +18,7 @@ from phongfit.geometry.cameras import AbstractCamera
 from phongfit.geometry.meshes import Mesh
 from phongfit.geometry.surfaces import AbstractSurface, GBuffer
 
-Place = Literal["centroid", "last_vertex"]
+FacePoint = Literal["centroid", "last_vertex"]
 
 
 class LightingPoints(eqx.Module):
@@ -34,15 +34,16 @@ class LightingPoints(eqx.Module):
 LightingPoints.__init__.__doc__ = """**Arguments:**
 
 - `position`: world units.
-- `normal`: the unit normal that is lit; `surface_normal`: that of the surface itself,
-    from which shadow rays start.
-- `to_viewer`: unit vectors.
+- `normal`: the unit normal that lighting uses.
+- `surface_normal`: unit normal of the surface itself, along which the start of shadow
+    rays is moved off the surface.
+- `to_viewer`: unit vectors from the surface.
 - `material_index`: which of several materials; `None` where there is one.
 """
 
 
 class Interpolation(eqx.Module):
-    """A pixel's value as a weighted sum of values at a few points."""
+    """Each pixel's value as a weighted sum of values at a few points."""
 
     index: Int[Array, "*batch corners"]
     weight: Float[Array, "*batch corners"]
@@ -50,6 +51,7 @@ class Interpolation(eqx.Module):
     def __call__(
         self, values: Float[Array, "points channels"]
     ) -> Float[Array, "*batch channels"]:
+        """Values at the pixels, from values at all points."""
         total = jnp.zeros((*self.weight.shape[:-1], values.shape[-1]), values.dtype)
         # One by one: an innermost loop over three corners is slow.
         for k in range(self.weight.shape[-1]):
@@ -57,12 +59,18 @@ class Interpolation(eqx.Module):
         return total
 
 
-Interpolation.__init__.__doc__ = """**Arguments:** `index` of the points, and their
-`weight`, which sum to 1."""
+Interpolation.__init__.__doc__ = """**Arguments:**
+
+- `index`: for each pixel, the indices of its points.
+- `weight`: their weights, which sum to 1.
+"""
 
 
 class AbstractShading(eqx.Module):
-    """Chooses the points that are lit, and spreads their light to the pixels."""
+    """Base class of shading methods: choose the points that are lit, and interpolate.
+
+    `clamp`: whether light is cut off at 1 at these points, before interpolation.
+    """
 
     clamp: AbstractVar[bool]
 
@@ -80,7 +88,7 @@ class AbstractShading(eqx.Module):
     def interpolation(
         self, surface: AbstractSurface, gbuffer: GBuffer
     ) -> Interpolation | None:
-        """Interpolation from these points to pixels; `None` if they are the pixels."""
+        """Interpolation from lit points to pixels; `None` if they are the pixels."""
 
 
 class PhongShading(AbstractShading):
@@ -93,6 +101,7 @@ class PhongShading(AbstractShading):
     clamp: bool = eqx.field(static=True, default=False, init=False)
 
     def check(self, surface: AbstractSurface) -> None:
+        # Surfaces of all kinds can be shaded.
         del surface
 
     def points(
@@ -117,7 +126,7 @@ class PhongShading(AbstractShading):
 
 
 class GouraudShading(AbstractShading):
-    """Vertices are lit, and their colours interpolated: highlights can fall between.
+    """Vertices are lit, and their colours interpolated: small highlights can be missed.
 
     ??? cite "Source"
         Gouraud, *Continuous shading of curved surfaces*, IEEE Transactions on Computers
@@ -137,6 +146,7 @@ class GouraudShading(AbstractShading):
     ) -> LightingPoints:
         del gbuffer
         mesh = _as_mesh(surface)
+        # A vertex between two materials occurs twice: see `Corners`.
         vertex = mesh.corners.vertex
         position = mesh.vertices[vertex]
         normal = mesh.vertex_normals()[vertex]
@@ -152,6 +162,7 @@ class GouraudShading(AbstractShading):
         face, weights = _faces_and_weights(gbuffer)
         index = mesh.corners.pair[face]
         if mesh.two_sided:
+            # Points with reversed normals follow the others: see `_both_sides`.
             behind = _seen_from_behind(mesh, gbuffer)[..., None]
             index = jnp.where(behind, index + len(mesh.corners.vertex), index)
         return Interpolation(index, weights)
@@ -167,11 +178,11 @@ GouraudShading.__init__.__doc__ = """**Arguments:**
 class FlatShading(AbstractShading):
     """One colour a face, lit at one point of it."""
 
-    at: Place = eqx.field(static=True)
+    at: FacePoint = eqx.field(static=True)
     clamp: bool = eqx.field(static=True)
 
     @checked
-    def __init__(self, at: Place = "centroid", clamp: bool = False):
+    def __init__(self, at: FacePoint = "centroid", clamp: bool = False):
         """**Arguments:**
 
         - `at`: `"centroid"` with the face's own normal, as in the textbook, or
@@ -179,7 +190,7 @@ class FlatShading(AbstractShading):
         - `clamp`: cut the faces' colours off at 1 before fog is added, as OpenGL does;
             without fog the film's clamp does the same.
 
-        **Raises:** `ValueError` for another place.
+        **Raises:** `ValueError` for another `at`.
         """
         self.at = at
         self.clamp = bool(clamp)
@@ -211,12 +222,15 @@ class FlatShading(AbstractShading):
         mesh = _as_mesh(surface)
         index, weights = _faces_and_weights(gbuffer)
         if mesh.two_sided:
+            # Points with reversed normals follow the others: see `_both_sides`.
             behind = _seen_from_behind(mesh, gbuffer)
             index = jnp.where(behind, index + len(mesh.faces), index)
+        # One point, of weight 1.
         return Interpolation(index[..., None], jnp.ones_like(weights[..., :1]))
 
 
 def _as_mesh(surface: AbstractSurface) -> Mesh:
+    """`surface` if it is a mesh, else a `ValueError`."""
     if not isinstance(surface, Mesh):
         raise ValueError(
             "shading: expected a Mesh for flat or Gouraud shading, got "
@@ -226,6 +240,7 @@ def _as_mesh(surface: AbstractSurface) -> Mesh:
 
 
 def _faces_and_weights(gbuffer: GBuffer) -> tuple[Array, Array]:
+    """Face of each pixel and weights of its corners; `ValueError` without a mesh."""
     if gbuffer.face is None or gbuffer.barycentrics is None:
         raise ValueError("gbuffer: expected one traced from a mesh, with its faces")
     return gbuffer.face, gbuffer.barycentrics
@@ -244,5 +259,6 @@ def _both_sides(front: LightingPoints) -> LightingPoints:
 
 
 def _seen_from_behind(mesh: Mesh, gbuffer: GBuffer) -> Array:
+    """Mask of the pixels that see the back of a face."""
     normal = mesh.face_normals()[gbuffer.face]
     return jnp.sum(normal * gbuffer.to_viewer, axis=-1) < 0

@@ -18,11 +18,11 @@ from phongfit.vectors import Scalar, Vec3, norm
 
 
 class AbstractShape(eqx.Module):
-    """A surface around the origin, in implicit and in parametric form."""
+    """Base class of surfaces around the origin, in implicit and in parametric form."""
 
     @abc.abstractmethod
     def implicit(self, position: Vec3) -> Scalar:
-        """F(p): 0 on the surface, positive outside."""
+        """F(p) of a point p, world units: 0 on the surface, positive outside."""
 
     @abc.abstractmethod
     def parametric(self, u: Scalar, v: Scalar) -> Vec3:
@@ -48,17 +48,18 @@ class AbstractShape(eqx.Module):
         )
 
 
-# Size of the box over that of a closed shape, which must not touch the box's sides.
+# Size of the box over that of the shape in it, which must not touch the box's sides.
 ROOM = 1.01
 
 
 def _turn(fraction: Scalar) -> tuple[Scalar, Scalar]:
+    """Cosine and sine of an angle that is given as a fraction of a full turn."""
     angle = 2 * np.pi * fraction
     return jnp.cos(angle), jnp.sin(angle)
 
 
 class Ball(AbstractShape):
-    """A sphere; u is longitude, v latitude from the south pole at −y."""
+    """A sphere; u is longitude from +x towards −z, v latitude from the pole at −y."""
 
     radius: Float[Array, ""]
 
@@ -80,7 +81,7 @@ class Ball(AbstractShape):
 
 
 class Torus(AbstractShape):
-    """A ring around the z axis."""
+    """A ring around the z axis; u runs around the axis, v around the tube."""
 
     major: Float[Array, ""]
     minor: Float[Array, ""]
@@ -107,17 +108,23 @@ class Torus(AbstractShape):
 
 
 class Cylinder(AbstractShape):
-    """A tube around the y axis, open at both ends and seen from outside."""
+    """A tube around the y axis, open at both ends and seen from outside.
+
+    u runs around the axis, from +x towards −z; v from the lower to the upper end.
+    """
 
     radius: Float[Array, ""]
     height: Float[Array, ""]
 
     def __init__(self, radius: Any = 0.5, height: Any = 2.0):
-        """**Arguments:** both > 0, world units, else `ValueError`."""
+        """**Arguments:** `radius` and `height` (along y), both > 0, world units, else
+        `ValueError`.
+        """
         self.radius = as_positive("radius", radius)
         self.height = as_positive("height", height)
 
     def implicit(self, position: Vec3) -> Scalar:
+        # Distance from the y axis: of x and z.
         return norm(position[jnp.array([0, 2])]) - self.radius
 
     def parametric(self, u: Scalar, v: Scalar) -> Vec3:
@@ -147,7 +154,7 @@ class HeightField(AbstractShape):
     ):
         """**Arguments:**
 
-        - `function`: h, world units, written in `jax.numpy`.
+        - `function`: (x, y) → h, world units, written in `jax.numpy`.
         - `width` (x), `height` (y): of the rectangle, world units > 0.
         - `relief`: |h| stays below this, world units > 0.
 
@@ -171,13 +178,14 @@ class HeightField(AbstractShape):
 
 
 def _level(x: Scalar, y: Scalar) -> Scalar:
+    """The height 0 everywhere."""
     del y
     return jnp.zeros_like(x)
 
 
 @checked
 def plane(width: Any = 2.0, height: Any = 2.0) -> HeightField:
-    """A rectangle that faces +z.
+    """A rectangle in z = 0 around the origin, seen from +z.
 
     **Arguments:** `width` (x), `height` (y), world units > 0, else `ValueError`.
     """

@@ -1,4 +1,4 @@
-"""Surfaces: what a camera sees of them, before any light."""
+"""Surfaces: the point and the normal that each pixel sees, before any light."""
 
 import abc
 import dataclasses
@@ -22,7 +22,7 @@ from phongfit.vectors import Vec3, dot, normalize, normalize_all
 class GBuffer(eqx.Module):
     """Geometry buffer: the point of the surface that each pixel sees, and its normal.
 
-    Outside `mask` the entries are harmless placeholders.
+    Outside `mask` the entries are finite placeholders.
     """
 
     position: Float[Array, "*pixels 3"]
@@ -45,6 +45,7 @@ class GBuffer(eqx.Module):
         size = self.mask.shape
 
         def at(array: Any) -> Any:
+            """Entries of the chosen pixels; `None` stays `None`."""
             if array is None:
                 return None
             return array.reshape(-1, *array.shape[len(size) :])[pixels]
@@ -62,13 +63,14 @@ class GBuffer(eqx.Module):
 GBuffer.__init__.__doc__ = """**Arguments:**
 
 - `position`: world units.
-- `normal`, `to_viewer`: unit vectors, away from the surface.
+- `normal`, `to_viewer`: unit vectors in the world's axes, away from the surface.
 - `mask`: true where the pixel sees the surface.
 - `material_index`: which of several materials; `None` where there is one.
 - `surface_normal`: unit normal of the face itself where `normal` is interpolated;
     `None` where the two are the same.
-- `face`, `barycentrics`: of a mesh: which face, and the weights of its corners.
-- `uv`: where in its textures the pixel looks; `None` where the surface has no uv.
+- `face`, `barycentrics`: index of the mesh's face, and the weights of its corners,
+    which sum to 1; `None` for other surfaces.
+- `uv`: texture coordinates; `None` where the surface has no uv.
 - `visibility`: 1 where the light reaches the point and 0 in shadow, for each light at
     the points where the shading method lights the surface (pixels, faces, vertices);
     `None` without shadows.
@@ -113,7 +115,7 @@ class AbstractSurface(eqx.Module):
         return 1
 
     def factors(self, gbuffer: GBuffer) -> Factors | None:
-        """Factors of the textures on each pixel's colours; `None` without textures."""
+        """Factors of the colour textures at each pixel; `None` without textures."""
         del gbuffer
         return None
 
@@ -129,8 +131,8 @@ def trace_rays(
 ) -> GBuffer:
     """The geometry buffer of a surface, from its intersection with one ray.
 
-    **Arguments:** `intersect`: gives the position, the unit normal there, and whether
-    the ray meets the surface; harmless placeholders where it does not.
+    **Arguments:** `intersect`: returns the position, the unit normal there, and whether
+    the ray meets the surface; finite placeholders where it does not.
     """
     position, normal, mask = jax.vmap(jax.vmap(intersect))(camera.rays())
     to_viewer = jax.vmap(jax.vmap(camera.to_viewer))(position)
@@ -144,7 +146,7 @@ class Sphere(AbstractSurface):
     radius: Float[Array, ""]
 
     def __init__(self, center: Any = (0.0, 0.0, 0.0), radius: Any = 1.0):
-        """**Arguments:** `center` and `radius` > 0, in world units.
+        """**Arguments:** `center` of shape (3,) and `radius` > 0, in world units.
 
         **Raises:** `ValueError` that names the argument.
         """
@@ -154,7 +156,8 @@ class Sphere(AbstractSurface):
     def intersect(self, ray: Ray) -> tuple[Vec3, Vec3, Bool[Array, ""]]:
         """The first intersection of one ray with the sphere, from outside.
 
-        **Returns:** position, unit normal, and whether there is such a place.
+        **Returns:** position, unit normal, and whether there is one; if not, the first
+        two are finite placeholders.
         """
         offset = ray.origin - self.center
         # Distance from the centre to the ray, squared, as a vector rejection: the
@@ -184,7 +187,8 @@ class Sphere(AbstractSurface):
         distance: Float[Array, "*batch"],
     ) -> Bool[Array, "*batch"]:
         del position
-        # A ray that enters the sphere at a point of it leaves it after 2 r |s·m|.
+        # A ray that enters the sphere at a point of it leaves it after 2 r |s·m|. A
+        # light up to there is inside the sphere, where nothing blocks it.
         chord = -2 * self.radius * jnp.sum(normal * to_light, axis=-1)
         return (chord <= 0) | (distance <= chord)
 
@@ -213,10 +217,13 @@ class NormalMap(AbstractSurface):
 
         - `normals`: (H, W, 3), in the world's axes; any length. A zero normal is
             outside the surface.
-        - `mask`: (H, W), true where there is surface; default everywhere.
-        - `positions`: (H, W, 3), world units. Without them only directional lights and
-            an orthographic camera can be used, for which positions do not matter.
-        - `material_index`: (H, W) whole numbers ≥ 0: which of several materials.
+        - `mask`: (H, W), true where there is surface; default everywhere. Outside of
+            it normals and positions may be NaN.
+        - `positions`: (H, W, 3), world units. Without them only directional and
+            harmonic lights and an orthographic camera can be used, for which positions
+            do not matter; and neither fog nor shadows.
+        - `material_index`: (H, W) whole numbers ≥ 0: which of several materials;
+            default one material.
 
         **Raises:** `ValueError` that names the argument.
         """
@@ -239,18 +246,18 @@ class NormalMap(AbstractSurface):
         def finite(a: Any) -> Any:
             return abs(a) < jnp.inf
 
-        def known(name: str, array: Array) -> Array:
+        def finite_inside(name: str, array: Array) -> Array:
             array = jnp.where(mask[..., None], array, 0)
             wanted = "finite numbers inside the mask"
             return require(name, array, finite, finite, wanted)
 
-        normals = normalize_all(known("normals", normals))
+        normals = normalize_all(finite_inside("normals", normals))
         self.mask = mask & jnp.any(normals != 0, axis=-1)
         inside = self.mask[..., None]
         placeholder = jnp.broadcast_to(jnp.array([0, 0, 1], normals.dtype), (*size, 3))
         self.normals = jnp.where(inside, normals, placeholder)
         if positions is not None:
-            positions = jnp.where(inside, known("positions", positions), 0)
+            positions = jnp.where(inside, finite_inside("positions", positions), 0)
         self.positions = positions
         self.material_index, self._materials = as_indices(
             "material_index", material_index, size

@@ -1,4 +1,4 @@
-"""Geometry is resolved once; every render and every step of a fit reuses it."""
+"""Tracing of a scene's geometry, once for all its renders and all steps of a fit."""
 
 from collections.abc import Iterable
 
@@ -31,8 +31,8 @@ def trace(
 
     **Arguments:**
 
-    - `surface`, `camera`: what is looked at, and from where.
-    - `lights`: which may be in shadow, in the scene's order.
+    - `surface`, `camera`: the object, and the camera that sees it.
+    - `lights`: those for which shadows are computed, in the scene's order.
     - `shadows`: whether to compute which lights reach the points that are lit.
     - `shading`: the method that chooses these points; default [`PhongShading`][], which
         lights each pixel's point.
@@ -59,7 +59,10 @@ def trace(
 def visibility(
     surface: AbstractSurface, lights: tuple[AbstractLight, ...], points: LightingPoints
 ) -> Float[Array, "*points lights"]:
-    """1 where a light reaches a point of the surface, 0 in a hard shadow."""
+    """1 where a light reaches a point of the surface, 0 in a hard shadow.
+
+    **Arguments:** `points`: the points that the shading method lights.
+    """
     *batch, _ = points.position.shape
     seen = []
     for light in lights:
@@ -76,7 +79,10 @@ def visibility(
 def towards(
     light: AbstractLight, position: Float[Array, "*points 3"]
 ) -> tuple[Float[Array, "*points 3"], Float[Array, "*points"]]:
-    """Unit vectors from each position to a light, and distances in world units."""
+    """Unit vectors from each position to a light, and distances; inf if it is distant.
+
+    **Arguments:** `position`: world units, as are the distances.
+    """
     illumination = jax.vmap(light.illuminate)(position.reshape(-1, 3))
     to_light = illumination.to_light.reshape(position.shape)
     return to_light, illumination.distance.reshape(position.shape[:-1])

@@ -19,7 +19,8 @@ from phongfit.vectors import Scalar
 class Undistorted(NamedTuple):
     """A photograph without lens distortion, from [`undistort`][].
 
-    - `image`: of the shape of the photograph; 0 where `mask` is false.
+    - `image`: of the shape of the photograph; 0 where `mask` is false. If the camera
+        has no distortion, the photograph itself, also where `mask` is false.
     - `mask`: true where the image is known.
     - `camera`: the camera of this image, without distortion.
     """
@@ -77,17 +78,20 @@ def _resample(
     usable: Bool[Array, "height width"],
     camera: PinholeCamera,
 ) -> tuple[Float[Array, "height width channels"], Bool[Array, "height width"]]:
+    """The image that a camera without distortion would take, and where it is known."""
     lens = camera.distortion
     assert lens is not None
 
     def source(x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
+        """Row and column in the photograph for an image point without distortion."""
         place = camera.place_of(x, y)
         direction = jnp.append(place, jnp.ones_like(x))
         bent = lens.place(direction)
         column, row = camera.pixel_of(bent)
+        # Rows and columns count from the centre of the first pixel, at (0.5, 0.5).
         return row - 0.5, column - 0.5
 
-    # NaN where the lens has no image of the direction: a place outside the image.
+    # NaN where the lens has no image of the direction: taken from outside the image.
     row, column = (jnp.nan_to_num(at, nan=-2.0) for at in over_pixels(source, camera))
     known = _interpolate((~usable).astype(image.dtype), row, column, 1.0) == 0
     image = jnp.where(usable[..., None], image, 0)
@@ -101,4 +105,5 @@ def _interpolate(
     column: Float[Array, "height width"],
     outside: float,
 ) -> Float[Array, "height width"]:
+    """Bilinear interpolation at rows and columns; the value `outside` beyond edges."""
     return map_coordinates(channel, [row, column], 1, "constant", outside)

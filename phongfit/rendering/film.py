@@ -14,7 +14,7 @@ from phongfit.rendering.response import ResponseCurve
 
 NamedEncoding = Literal["linear", "srgb"]
 Encoding = NamedEncoding | ResponseCurve
-"""Meaning of the numbers in a file."""
+"""From linear light in [0, 1] to the numbers in a file: by name, or as a curve."""
 
 ENCODINGS: tuple[NamedEncoding, ...] = ("linear", "srgb")
 """Encodings that are given by name."""
@@ -40,7 +40,7 @@ def encode(linear: Any, encoding: Encoding) -> Any:
 
 
 def decode(encoded: Any, encoding: Encoding) -> Any:
-    """The inverse of [`encode`][]."""
+    """Linear light of the numbers of `encoding`: the inverse of [`encode`][]."""
     if encoding == "linear":
         return encoded
     if isinstance(encoding, ResponseCurve):
@@ -69,13 +69,14 @@ class Film(eqx.Module):
     ):
         """**Arguments:**
 
-        - `clamp`: clip light to [0, 1]. `False` is for floating-point
-            images that were never cut off.
+        - `clamp`: clip light to [0, 1]. `False` is for floating-point images that were
+            never cut off, in linear light and without `bits`.
         - `encoding`: `"linear"`, `"srgb"` or a [`ResponseCurve`][].
-        - `bits`: round to 2^bits levels; default no rounding. Rounding has no useful
-            derivative, so omit it where gradients are needed.
+        - `bits`: 1 to 16: round to 2^bits levels. Default: no rounding, or 8 with
+            `jpeg`. The derivative of rounding is 0, so omit it where gradients are
+            needed.
         - `jpeg`: the compression of a JPEG file, for images of 8 bits:
-            [`read_film`][] reads it from the file.
+            [`read_film`][] reads it from the file. Default: none.
 
         **Raises:** `ValueError` that names the argument.
         """
@@ -84,7 +85,7 @@ class Film(eqx.Module):
         self.bits = as_bits(8 if bits is None and jpeg is not None else bits)
         self.jpeg = jpeg
         if not self.clamp and (self.bits is not None or self.encoding != "linear"):
-            raise ValueError("clamp: needed where a film encodes or rounds")
+            raise ValueError("clamp: expected True for a film that encodes or rounds")
         if jpeg is not None and self.bits != 8:
             raise ValueError(f"bits: expected 8 beside jpeg, got {self.bits}")
 
@@ -94,30 +95,34 @@ class Film(eqx.Module):
     ) -> Float[Array, "..."]:
         """The numbers that are stored for linear light, in [0, 1] if clamped.
 
-        Of any shape; (height, width, 3) for a JPEG.
+        Files of integers hold them times 2^bits − 1.
+
+        **Arguments:** `light`: of any shape; (height, width, 3) for a JPEG.
         """
         shown = jnp.clip(light, 0, 1) if self.clamp else light
         encoded = encode(shown, self.encoding)
         if self.bits is None:
             return encoded
-        levels = 2**self.bits - 1
+        white = 2**self.bits - 1
         if self.jpeg is not None:
-            return compressed(jnp.asarray(encoded) * levels, self.jpeg) / levels
-        return jnp.round(encoded * levels) / levels
+            return compressed(jnp.asarray(encoded) * white, self.jpeg) / white
+        return jnp.round(encoded * white) / white
 
 
 def as_films(
-    film: Film | Sequence[Film], count: int, each: str = "an image"
+    film: Film | Sequence[Film], count: int, each: str = "image"
 ) -> tuple[Film, ...]:
-    """A film for each of `count` images.
+    """A film for each of `count` images: those given, or one for all.
 
-    **Arguments:** `each`: what one film belongs to, for the message.
+    **Arguments:** `each`: "image" or "scene", for the message.
 
     **Raises:** `ValueError` for another number of films.
     """
     films = (film,) * count if isinstance(film, Film) else tuple(film)
     if len(films) != count:
-        raise ValueError(f"film: expected {count}, one {each}, got {len(films)}")
+        raise ValueError(
+            f"film: expected {count}, one for each {each}, got {len(films)}"
+        )
     return films
 
 

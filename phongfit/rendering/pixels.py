@@ -1,4 +1,4 @@
-"""Light of the pixels, from light at the points that the shading method lights."""
+"""Light of each pixel, from light at the points that the shading method lights."""
 
 import math
 from typing import Any, TypeVar
@@ -24,21 +24,22 @@ T = TypeVar("T")
 
 
 class Haze(eqx.Module):
-    """Fog at each pixel: the transmitted fraction of light, and the light it adds."""
+    """Fog at each pixel: the transmitted fraction of light, and the fog's colour."""
 
     transmittance: Float[Array, "*batch 1"]
     color: Float[Array, "*batch 3"]
 
     def __call__(self, light: Float[Array, "*batch rgb"]) -> Float[Array, "*batch rgb"]:
+        """Light that reaches the camera, from light that leaves the surface."""
         return self.transmittance * light + (1 - self.transmittance) * self.color
 
 
 class PixelTerms(eqx.Module):
     r"""Everything an image depends on except the material: geometry, lights and fog.
 
-    [`PixelTerms.radiance`][] is a pure function of the material, linear in the
-    reflectances: light at the points, clamped there if the shading method clamps,
-    interpolated, and mixed with fog.
+    [`PixelTerms.radiance`][] is a pure function of the material: light at the points,
+    clamped there if the shading method clamps, interpolated, and mixed with fog. Unless
+    clamped it is linear in the reflectances and the emission, plus the fog's light.
     """
 
     terms: ShadingTerms
@@ -49,6 +50,8 @@ class PixelTerms(eqx.Module):
 
     def radiance(self, material: Material) -> Float[Array, "*batch rgb"]:
         """Linear RGB of every pixel, before the film's clamp.
+
+        Outside the surface's mask the numbers have no meaning.
 
         **Raises:** `ValueError` if the material's parameters do not fit: see
         [`combine`][].
@@ -68,16 +71,18 @@ class PixelTerms(eqx.Module):
     ) -> Float[Array, "*batch rgb"]:
         """Sum of the four terms of the light, each times its texture at the pixel."""
         light = jnp.zeros_like(factors.diffuse)
+        # In the order of `parts`.
         each = factors.emission, factors.ambient, factors.diffuse, factors.specular
         for factor, part in zip(each, parts(self.terms, material), strict=True):
-            spread = self.interpolation
-            light += factor * (part if spread is None else spread(part))
+            to_pixels = self.interpolation
+            light += factor * (part if to_pixels is None else to_pixels(part))
         return light
 
     def basis(self, shininess: Float[Array, "..."]) -> Float[Array, "*batch rgb 4"]:
         """Basis images: radiance for ρ = 1 of ambient, diffuse, specular and emission.
 
-        Together with [`PixelTerms.fog_light`][] they give the whole image, unless the
+        The last axis has them in this order. Their sum, weighted by the material's
+        parameters, plus [`PixelTerms.fog_light`][] is the whole image, unless the
         shading method clamps light at its points.
 
         **Arguments:** `shininess`: as a parameter of a [`Material`][].
@@ -88,14 +93,14 @@ class PixelTerms(eqx.Module):
             self.terms.specular(shininess),
             jnp.ones_like(self.terms.diffuse),
         )
-        spread = [self._to_pixels(values) for values in at_points]
+        images = [self._to_pixels(values) for values in at_points]
         if self.factors is not None:
             each = [getattr(self.factors, name) for name in COLOURED]
-            spread = [one * by for one, by in zip(spread, each, strict=True)]
-        return jnp.stack(spread, axis=-1)
+            images = [one * by for one, by in zip(images, each, strict=True)]
+        return jnp.stack(images, axis=-1)
 
     def fog_light(self) -> Float[Array, "*batch rgb"]:
-        """Light that the fog adds to each pixel."""
+        """RGB that the fog adds to each pixel; 0 without fog."""
         dark = jnp.zeros_like(self._to_pixels(self.terms.diffuse))
         return dark if self.haze is None else self.haze(dark)
 
@@ -110,6 +115,7 @@ class PixelTerms(eqx.Module):
     def _to_pixels(
         self, values: Float[Array, "*points rgb"]
     ) -> Float[Array, "*batch rgb"]:
+        """Values at the points interpolated to the pixels, times the transmittance."""
         if self.interpolation is not None:
             values = self.interpolation(values)
         return values if self.haze is None else self.haze.transmittance * values
@@ -130,9 +136,10 @@ class PixelTerms(eqx.Module):
             chosen = self.terms
         else:
             corners = np.asarray(interpolation.index)
-            used, position = np.unique(corners, return_inverse=True)
-            index = jnp.asarray(position.reshape(corners.shape).astype(np.int32))
+            used, renumbered = np.unique(corners, return_inverse=True)
+            index = jnp.asarray(renumbered.reshape(corners.shape).astype(np.int32))
             interpolation = Interpolation(index, interpolation.weight)
+            # `resize` repeats points, to which no index refers.
             chosen = _select_points(
                 self.terms, jnp.asarray(np.resize(used, _padded_count(used)))
             )
@@ -141,7 +148,7 @@ class PixelTerms(eqx.Module):
 
 PixelTerms.__init__.__doc__ = """**Arguments:**
 
-- `terms`: at the points that are lit.
+- `terms`: terms of the light at the points that are lit.
 - `interpolation`: from the points to the pixels; `None` if the points are the pixels.
 - `haze`: fog per pixel; `None` without.
 - `clamp`: whether light is cut off at 1 at the points, before interpolation and fog.
@@ -152,20 +159,20 @@ PixelTerms.__init__.__doc__ = """**Arguments:**
 def with_model(terms: T, model: AbstractSpecular | None) -> T:
     """Terms with another specular model, or with `None` in its place.
 
-    The model's arrays have no axis of points, so it is taken out where points are
-    selected.
+    `None` is for selecting points from all arrays, since the model's arrays have no
+    axis of points.
 
     **Arguments:** `terms`: [`ShadingTerms`][], or an object that has them as `terms`.
     """
 
-    def own(part: Any) -> Any:
+    def model_of(part: Any) -> Any:
         return getattr(part, "terms", part).model
 
-    return eqx.tree_at(own, terms, model, is_leaf=lambda leaf: leaf is None)
+    return eqx.tree_at(model_of, terms, model, is_leaf=lambda leaf: leaf is None)
 
 
 def _padded_count(used: np.ndarray) -> int:
-    """Number of points rounded up to a power of 2 ≥ 64, since each size is compiled."""
+    """Number of points rounded up to a power of 2 ≥ 64: fewer sizes to compile for."""
     return 2 ** int(max(len(used) - 1, 63)).bit_length()
 
 
@@ -217,12 +224,16 @@ def pixel_terms(scene: Scene, gbuffer: GBuffer) -> PixelTerms:
 
 
 def _factors(scene: Scene, gbuffer: GBuffer) -> Factors | None:
-    found = scene.surface.factors(gbuffer)
-    if found is not None and scene.shading.clamp:
+    """Factors of the textures at each pixel; `None` without textures.
+
+    **Raises:** `ValueError` if the shading method clamps, before textures multiply.
+    """
+    factors = scene.surface.factors(gbuffer)
+    if factors is not None and scene.shading.clamp:
         raise ValueError(
             "shading: expected clamp=False with textures, which multiply the pixels"
         )
-    return found
+    return factors
 
 
 def resolve(scene: Scene) -> tuple[GBuffer, PixelTerms]:
@@ -234,16 +245,18 @@ def resolve(scene: Scene) -> tuple[GBuffer, PixelTerms]:
 def resolve_terms(scene: Scene) -> tuple[Bool[Array, "height width"], PixelTerms]:
     """Mask of the pixels that see the surface, and the [`pixel_terms`][] of all.
 
-    One compiled program where possible, so that positions and normals are not stored.
+    One compiled program if the surface is traced by JAX, so that positions and normals
+    are not stored.
     """
     if scene.surface.on_host:
         return _mask_and_terms(scene)
-    return _at_once(scene)
+    return _compiled_mask_and_terms(scene)
 
 
 def _mask_and_terms(scene: Scene) -> tuple[Bool[Array, "height width"], PixelTerms]:
+    """[`resolve_terms`][], for either way of calling it."""
     gbuffer, pixels = resolve(scene)
     return gbuffer.mask, pixels
 
 
-_at_once = program()(_mask_and_terms)
+_compiled_mask_and_terms = program()(_mask_and_terms)

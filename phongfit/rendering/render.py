@@ -34,10 +34,12 @@ def render(
     **Arguments:**
 
     - `scene`: geometry and lights.
-    - `material`: parameters of shape () or (3,), maps of shape (height, width, 3) with
-        Phong shading, or (M, 3) where the surface is made of M materials.
+    - `material`: parameters of shape (), (1,) or (3,); maps of shape (height, width, 1
+        or 3) with Phong shading; or (M, 1 or 3) where the surface is made of M
+        materials.
     - `film`: default clamps to [0, 1] and leaves the light linear.
-    - `gbuffer`: from `scene.trace()`, to render the same geometry again at less cost.
+    - `gbuffer`: from `scene.trace()`, to render the same geometry again at less cost;
+        default: it is traced.
     - `samples`: rays through a pixel, 1, 4, 9, …: their light is averaged before the
         film, which smooths outlines and textures. The default is one ray through the
         pixel's centre, as in [`fit`][].
@@ -45,14 +47,17 @@ def render(
     **Returns:** (height, width, 3) after the film, row 0 at the top.
 
     **Raises:** `ValueError` that names `samples`, if it is not a square, or above 1
-    with a `gbuffer` or a normal map.
+    with a `gbuffer` or a normal map; or that names a parameter of `material` whose
+    shape does not fit.
     """
     side = math.isqrt(samples) if samples > 0 else 0
     if side < 1 or side**2 != samples:
         raise ValueError(f"samples: expected 1, 4, 9 or another square, got {samples}")
     if side > 1:
         if gbuffer is not None:
-            raise ValueError("samples: a gbuffer has one ray through each pixel")
+            raise ValueError(
+                "samples: expected 1 with a gbuffer, which has one ray for each pixel"
+            )
         if isinstance(scene.surface, NormalMap):
             raise ValueError(
                 "samples: expected 1 for a normal map, with one normal per pixel"
@@ -68,6 +73,7 @@ def render(
 def _shade(
     scene: Scene, material: Material, film: Film, gbuffer: GBuffer, side: int
 ) -> Float[Array, "height width 3"]:
+    """The image of a traced scene; `side` × `side` pixels are averaged into one."""
     light = pixel_terms(scene, gbuffer).radiance(material)
     background = jnp.broadcast_to(scene.background, light.shape)
     light = jnp.where(gbuffer.mask[..., None], light, background)

@@ -12,7 +12,7 @@ from phongfit.rendering.jpeg import namespace
 
 TINY = np.finfo(np.float32).tiny
 MOST = 65_536
-"""Samples of a curve: a file has no more levels."""
+"""Largest number of samples of a curve: files of 16 bits have no more levels."""
 
 
 @dataclass(frozen=True, init=False, repr=False)
@@ -21,8 +21,8 @@ class ResponseCurve:
 
     The samples are the linear light for equally spaced stored numbers from 0 to 1; they
     begin with 0 and end with 1. Between them the curve is linear, so that its inverse
-    is exact. All channels share the curve.
-    Every argument `encoding` accepts one.
+    is exact. All channels share the curve. Arguments named `encoding` accept a
+    `ResponseCurve`.
 
         gamma = pf.ResponseCurve([(k / 256) ** 1.8 for k in range(257)])
         image = pf.read_image("ball.png", gamma)
@@ -51,18 +51,22 @@ class ResponseCurve:
         object.__setattr__(self, "light", tuple(samples.tolist()))
 
     def encode(self, light: Any) -> Any:
-        """Stored numbers for linear light, both in [0, 1]; arrays of JAX or NumPy."""
+        """Stored numbers for linear light, both in [0, 1]; arrays of JAX or NumPy.
+
+        Light outside of [0, 1] is clipped.
+        """
         xp = namespace(light)
         numbers, curve = self._samples(xp, light.dtype)
         return xp.interp(light, curve, numbers).astype(light.dtype)
 
     def decode(self, numbers: Any) -> Any:
-        """The inverse of [`encode`][]."""
+        """Linear light of stored numbers: the inverse of [`encode`][]."""
         xp = namespace(numbers)
         stored, curve = self._samples(xp, numbers.dtype)
         return xp.interp(numbers, stored, curve).astype(numbers.dtype)
 
     def _samples(self, xp: Any, dtype: Any) -> tuple[Any, Any]:
+        """Stored numbers and their light, as arrays of `xp`: NumPy or `jax.numpy`."""
         numbers = np.linspace(0, 1, len(self.light))
         return xp.asarray(numbers, dtype), xp.asarray(np.array(self.light), dtype)
 

@@ -22,13 +22,14 @@ from phongfit.reflectance import AbstractSpecular, lambert
 from phongfit.scene import Scene
 from phongfit.vectors import Scalar, Vec3, normalize
 
-# Largest number of lights that are unrolled; a loop over more compiles faster.
+# Largest number of lights whose terms are unrolled; for more, a loop compiles faster.
 MAX_UNROLLED = 16
 
 
 class ShadingTerms(eqx.Module):
     """The basis images A and D, and for each light the cosine and strength of S(f).
 
+    S(f) is the sum over lights of `strength` times the model's lobe of `cosine`.
     `batch` is () for one point, (N,) for samples, faces or vertices, (height,
     width) for an image.
     """
@@ -43,7 +44,10 @@ class ShadingTerms(eqx.Module):
     materials: int = eqx.field(static=True, default=1)
 
     def specular(self, shininess: Float[Array, "..."]) -> Float[Array, "*batch rgb"]:
-        """Basis image S(f), for an exponent as a parameter of a [`Material`][]."""
+        """Basis image S(f), for exponents f as `shininess` of a [`Material`][].
+
+        **Raises:** `ValueError` if their shape does not fit the points.
+        """
         shininess = self.leaf("shininess", shininess)
         batch = self.strength.shape[:-2]
         channels = 1 if shininess.ndim == 0 else shininess.shape[-1]
@@ -64,9 +68,14 @@ class ShadingTerms(eqx.Module):
         return jax.lax.scan(add, none, each, unroll=MAX_UNROLLED)[0]
 
     def leaf(self, name: str, leaf: Float[Array, "..."]) -> Float[Array, "..."]:
-        """A parameter of a [`Material`][] at each point, if there are many materials.
+        """A material's parameter, or for many materials its value at each point.
 
-        **Raises:** `ValueError` that names the parameter if it holds too few materials.
+        **Arguments:** `name`: of the parameter, for messages; `leaf`: its value.
+
+        **Returns:** shape (batch…, 1 or 3) if `leaf` has a row for each material; else
+        `leaf`.
+
+        **Raises:** `ValueError` that names the parameter if it has too few rows.
         """
         if self.material_index is None or leaf.ndim != 2 or len(leaf) == 1:
             return leaf
@@ -83,7 +92,8 @@ ShadingTerms.__init__.__doc__ = """**Arguments:**
 - `ambient`, `diffuse`: RGB for ρ = 1.
 - `cosine`: cosine of the angle from each light's highlight; a named tuple if the lobe
     takes more numbers.
-- `strength`: RGB of each light's highlight at its centre, for ρ_s = 1.
+- `strength`: RGB of each light's specular colour that arrives, by which the lobe is
+    multiplied.
 - `model`: turns `cosine` into the height of the highlight.
 - `material_index`: which of `materials` each point is made of: a parameter of shape
     (M, 3) or (M, 1) is then M materials. `None` where there is one.
@@ -94,7 +104,10 @@ ShadingTerms.__init__.__doc__ = """**Arguments:**
 def _spread(
     name: str, leaf: Float[Array, "..."], shape: tuple[int, ...]
 ) -> Float[Array, "..."]:
-    """A parameter of a material, broadcast to `shape`, whose last axis is colour."""
+    """A parameter of a material, broadcast to `shape`, whose last axis is colour.
+
+    **Raises:** `ValueError` that names the parameter if that is not possible.
+    """
     missing = len(shape) - leaf.ndim
     if missing < 0 or any(
         have not in (1, want)
@@ -113,20 +126,21 @@ def point_terms(
     to_viewer: Vec3,
     visibility: Float[Array, " lights"] | None = None,
 ) -> ShadingTerms:
-    """Terms A, D and the parts of S(f) at one point of a surface.
+    """Ambient and diffuse term at one point of a surface, and each light's highlight.
 
     **Arguments:**
 
     - `lights`, `ambient`, `model`: as in [`Scene`][].
     - `position`: world units; `normal`, `to_viewer`: unit vectors.
-    - `visibility`: fraction of each light that reaches the point; default 1. Ambient
-        parts of lights and light from all around are not shadowed.
+    - `visibility`: fraction of each light that reaches the point; default 1. The
+        ambient colours of lights and light from all around are not shadowed.
     """
     dtype = ambient.dtype
     if visibility is None:
         visibility = jnp.ones(len(lights), dtype)
 
     def light_terms(light: AbstractLight, visible: Scalar) -> tuple[Any, ...]:
+        """One light's ambient and diffuse term, cosine and strength."""
         arriving = light.illuminate(position)
         fraction = model.diffuse_scale() * lambert(normal, arriving.to_light)
         diffuse_light = visible * fraction * arriving.intensity
@@ -153,6 +167,7 @@ def point_terms(
     if lights:
         cosine = jax.tree.map(lambda *each: jnp.stack(each), *cosines)
     else:
+        # No lights: an empty array for each number of the model's cosine.
         template = jax.eval_shape(model.cosine, normal, normal, to_viewer)
         cosine = jax.tree.map(lambda _: jnp.zeros((0,), dtype), template)
     return ShadingTerms(
@@ -169,9 +184,13 @@ def _vectorised_terms(
     lights: tuple[AbstractLight, ...],
     visibility: Float[Array, " lights"],
 ) -> tuple[Any, ...]:
-    """Terms of several lights along a first axis, vectorised over lights of one kind.
+    """Terms of several lights, vectorised over lights of one kind.
 
     A loop over lights would compile each of them separately.
+
+    **Arguments:** `light_terms`: from a light and its visibility to its terms.
+
+    **Returns:** arrays of terms whose first axis runs over the lights.
     """
     kinds: dict[Any, list[int]] = {}
     for k, light in enumerate(lights):
@@ -191,13 +210,14 @@ def _vectorised_terms(
 @checked
 @program()
 def terms(scene: Scene, gbuffer: GBuffer) -> ShadingTerms:
-    """The terms of a scene, at every point that its shading method lights.
+    """Light for ρ = 1 at every point that a scene's shading method lights.
 
     The points are the pixels of the [`GBuffer`][] that was traced from the scene, or
     the faces or vertices of its mesh; [`pixel_terms`][] makes images of them. Outside
     the buffer's mask values are finite and without meaning.
 
-    **Raises:** `ValueError` if the buffer was traced without the scene's shadows.
+    **Raises:** `ValueError` if the buffer was traced without the scene's shadows, or if
+    a texture of the exponent does not go with the shading method.
     """
     points = scene.shading.points(scene.surface, scene.camera, gbuffer)
 
@@ -231,6 +251,7 @@ def terms(scene: Scene, gbuffer: GBuffer) -> ShadingTerms:
 
 
 def _exponents(scene: Scene, gbuffer: GBuffer) -> Float[Array, "*pixels"] | None:
+    """Factor of a texture on each pixel's exponent; `None` without such a texture."""
     factor = scene.surface.exponents(gbuffer)
     if factor is not None:
         check_exponents(scene)
@@ -244,22 +265,33 @@ def check_exponents(scene: Scene) -> None:
     """
     if not isinstance(scene.shading, PhongShading):
         raise ValueError(
-            "textures: one of the exponent needs Phong shading, got "
+            "textures: a texture of the exponent needs Phong shading, got "
             f"{type(scene.shading).__name__}"
         )
 
 
 def _to_viewer(scene: Scene, position: Vec3, to_viewer: Vec3) -> Vec3:
+    """Unit vector to the viewer of highlights: see `local_viewer` of [`Scene`][].
+
+    **Arguments:** `position`: a point; `to_viewer`: the camera's direction from there.
+    """
     if scene.local_viewer is None:
         return to_viewer
     if scene.local_viewer:
         return normalize(scene.camera.position - position)
+    # Infinitely far along the camera's z axis, which points back.
     return scene.camera.rotation[:, 2]
 
 
 def _visibility(
     scene: Scene, gbuffer: GBuffer, points: tuple[int, ...]
 ) -> Float[Array, "*points lights"] | None:
+    """The buffer's visibilities; `None` if the scene has no shadows.
+
+    **Arguments:** `points`: shape of the points that are lit.
+
+    **Raises:** `ValueError` if the buffer lacks them, or has them for other points.
+    """
     if not scene.shadows:
         return None
     wanted = (*points, len(scene.lights))
@@ -276,12 +308,12 @@ def _visibility(
 def combine(terms: ShadingTerms, material: Material) -> Float[Array, "*batch rgb"]:
     r"""$\text{emission} + \rho_a A + \rho_d D + \rho_s S(f)$, before any clamp.
 
-    **Arguments:** `terms` of any batch shape; `material` whose parameters broadcast to
-    it, or hold a material for each index in `terms`.
+    **Arguments:** `terms`: of any batch shape; `material`: its parameters broadcast to
+    the batch shape and 3, or have a row for each material in `terms`.
 
     **Returns:** linear RGB of the batch shape and 3.
 
-    **Raises:** `ValueError` that names the parameter which fits neither.
+    **Raises:** `ValueError` that names the parameter which does neither.
     """
     emission, ambient, diffuse, specular = parts(terms, material)
     return emission + ambient + diffuse + specular

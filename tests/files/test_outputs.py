@@ -359,6 +359,6 @@ def test_json_keeps_every_bit(tmp_path):
 
 
 def test_json_refuses_what_it_does_not_know(tmp_path):
-    with pytest.raises(TypeError, match="object has no place in JSON"):
+    with pytest.raises(TypeError, match="object cannot be written as JSON"):
         write_json(tmp_path / "a.json", {"a": object()})
     assert not os.listdir(tmp_path)

@@ -71,7 +71,7 @@ def test_a_film_for_each_scene():
         for films in ([fine, fine], [coarse, fine], [coarse, coarse])
     ]
     assert np.all(errors[0] < errors[1]) and np.all(errors[1] < errors[2])
-    with pytest.raises(ValueError, match="film: expected 2, one a scene, got 1"):
+    with pytest.raises(ValueError, match="film: expected 2, one for each scene, got 1"):
         pf.predict_errors([SCENE, SCENE], TRUTH, NOISE, film=[fine])
 
 

@@ -85,7 +85,7 @@ def test_images_have_films_of_their_own():
     assert np.abs(off).max() < 4
     # The one without losses tells more than the one with.
     assert np.all(both.errors < fits()[0].errors)
-    with pytest.raises(ValueError, match="film: expected 2, one an image, got 1"):
+    with pytest.raises(ValueError, match="film: expected 2, one for each image, got 1"):
         pf.fit([SCENE, SCENE], images, film=films[:1])
     with pytest.raises(ValueError, match="film: expected one clamp"):
         pf.fit([SCENE, SCENE], images, film=[films[0], pf.Film(clamp=False)])
