@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from phongfit.geometry.cameras import AbstractCamera, OrthographicCamera
+from phongfit.geometry.cameras import AbstractCamera
 from phongfit.geometry.height import positions_at
 from phongfit.geometry.surfaces import NormalMap
 
@@ -12,14 +12,14 @@ from phongfit.geometry.surfaces import NormalMap
 def plane_before(camera: AbstractCamera, through: Any = None) -> NormalMap:
     """A plane perpendicular to the camera's axis, seen by every pixel.
 
-    **Arguments:** `through`: a point of it, world units. Default: the origin for an
-    [`OrthographicCamera`][]; for other cameras a point 1 in front of their position.
+    **Arguments:** `through`: a point of it, world units. Default: the origin for
+    parallel rays; for other cameras a point 1 in front of their position.
     """
     # The camera's z axis, which points from the scene to the camera.
     axis = np.asarray(camera.rotation)[:, 2]
     if through is not None:
         point = np.asarray(through)
-    elif isinstance(camera, OrthographicCamera):
+    elif camera.parallel:
         point = np.zeros(3)
     else:
         point = np.asarray(camera.position) - axis

@@ -23,6 +23,7 @@ def test_a_pinhole_sees_it_at_distance_1():
 
 def test_parallel_rays_meet_it_in_the_origin_or_a_given_point():
     camera = pf.OrthographicCamera(6, 4)
-    assert np.allclose(np.asarray(plane_before(camera).positions)[..., 2], 0)
+    for same_rays in (camera, camera.finer(2)):
+        assert np.allclose(np.asarray(plane_before(same_rays).positions)[..., 2], 0)
     moved = plane_before(camera, (7.0, 8.0, -2.0))
     assert np.allclose(np.asarray(moved.positions)[..., 2], -2)
