@@ -78,16 +78,22 @@ class Geometry:
     def tile(
         self, pixels: np.ndarray, target: Coded, used: np.ndarray, size: int
     ) -> Tile:
-        """The tile of some pixels, with geometry padded to `size` pixels."""
-        padded = np.pad(pixels, (0, size - len(pixels)), mode="edge")
+        """The tile of some pixels, padded to `size` pixels."""
+        missing = size - len(pixels)
+        padded = np.pad(pixels, (0, missing), mode="edge")
+
+        def fill(samples: np.ndarray) -> np.ndarray:
+            if not missing:
+                return samples
+            return np.pad(samples, ((0, 0), (0, missing), (0, 0)))
 
         def rows(table: np.ndarray) -> np.ndarray:
             return table if len(table) == 1 else table[padded]
 
         seen = self.visibility
         return Tile(
-            target.numbers,
-            used,
+            fill(target.numbers),
+            fill(used),
             self.normal[padded],
             rows(self.position),
             rows(self.to_viewer),
@@ -118,7 +124,7 @@ class Job:
         return np.flatnonzero(self.geometry.mask & self.masks.anywhere())
 
     def tile(self, pixels: np.ndarray, size: int) -> Tile:
-        """The tile of some pixels; see [`padded`][phongfit.maps.pixel.samples.Tile]."""
+        """The tile of some pixels, padded to `size` pixels that are not used."""
         order = self.outside.lighting.order
         target = self.stack.take_coded(pixels, order)
         hidden = np.ma.getmask(target.numbers)

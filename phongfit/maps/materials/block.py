@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from phongfit.maps.materials.bases import Bases, as_known, everything, held, sought
-from phongfit.maps.materials.reduced import reduce, take_apart
+from phongfit.maps.materials.reduced import reduce
 from phongfit.maps.pixel.block import judged, samples_of
 from phongfit.maps.pixel.flags import Flag
 from phongfit.maps.pixel.pixel import Outside, PixelFit
@@ -95,12 +95,8 @@ def _inherited(
 ) -> tuple[PixelFit, Float[Array, " pixels"]]:
     """Add the material's errors to a pixel's, and return the normal's `log_det`."""
     mine, point = sought(settings), found.point
-    parts = take_apart(
-        gather(point, samples, found.scale, settings, everything(settings))
-    )
-    edges = edges_of(settings, mine)
-    free = free_to_move(point, parts.pixel, mine, edges)
-    reduced = reduce(parts, free)
+    sums = gather(point, samples, found.scale, settings, everything(settings))
+    reduced = reduce(sums, free_to_move(point, sums, mine, edges_of(settings, mine)))
     finite = jnp.where(jnp.isfinite(covariance), covariance, 0)
 
     def through(responses: list[Array]) -> Array:

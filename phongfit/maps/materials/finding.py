@@ -1,6 +1,6 @@
 """Estimates of an object's materials from a sample of its pixels."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from typing import Any, NamedTuple
 
@@ -16,8 +16,8 @@ from phongfit.maps.pixel.pixel import Outside
 from phongfit.maps.pixel.samples import Tile
 from phongfit.maps.pixel.scale import most_by_chance
 from phongfit.maps.pixel.settings import MOST_MATERIALS, MapSettings
-from phongfit.maps.pixel.tile import BLOCK
 from phongfit.maps.pixel.unknowns import Point
+from phongfit.maps.result import BasisMaterials
 
 # Number of pixels of a sample times number of images, and limits of the former.
 LIGHT = 2**17
@@ -38,7 +38,27 @@ class Materials(NamedTuple):
 
     bases: Bases
     criterion: Float[np.ndarray, " tried"]
-    sample: Int[np.ndarray, ""]
+    sample: int
+
+    def basis(
+        self, settings: MapSettings, weights: Float[np.ndarray, "height width k"]
+    ) -> BasisMaterials:
+        """The materials of maps, with the probability of each in each pixel."""
+        values = np.asarray(self.bases.values, float)
+        variances = np.diagonal(np.asarray(self.bases.covariance, float), 0, 1, 2)
+        errors, shape = np.sqrt(variances), (len(values), 3)
+        shininess = np.exp(values[:, 0])
+        gap = np.abs(values[:, :1] - np.array(settings.log_bounds)).min(axis=1)
+        return BasisMaterials(
+            specular=np.broadcast_to(values[:, 1:], shape).copy(),
+            shininess=shininess,
+            stderr_specular=np.broadcast_to(errors[:, 1:], shape).copy(),
+            stderr_shininess=shininess * errors[:, 0],
+            at_bound=gap < 1e-5,
+            weights=weights,
+            criterion=self.criterion,
+            sample=self.sample,
+        )
 
 
 def choose_sample(pixels: Int[np.ndarray, " n"], images: int) -> np.ndarray:
@@ -51,7 +71,7 @@ def choose_sample(pixels: Int[np.ndarray, " n"], images: int) -> np.ndarray:
 
 
 def find_materials(
-    tile: Tile,
+    blocks: Sequence[Tile],
     pixels: int,
     outside: Outside,
     settings: MapSettings,
@@ -61,12 +81,12 @@ def find_materials(
 
     **Arguments:**
 
-    - `tile`: the sample; `pixels`: their number without padding.
+    - `blocks`: the sample; `pixels`: their number without padding.
     - `workers`: threads that work on blocks in parallel.
 
     **Raises:** `ValueError` if no pixel of the sample can be used.
     """
-    sample = _Sample(tile, pixels, outside, alone(settings), workers)
+    sample = _Sample(blocks, pixels, outside, alone(settings), workers)
     table = sample.table()
     wanted = settings.materials
     most = MOST_MATERIALS if wanted == "auto" else int(wanted or 1)
@@ -91,7 +111,7 @@ def find_materials(
     return Materials(
         Bases(*(jnp.asarray(part, dtype) for part in (*bases, sample.noise))),
         criterion,
-        np.asarray(sample.pixels),
+        sample.pixels,
     )
 
 
@@ -100,7 +120,7 @@ class _Sample:
 
     def __init__(
         self,
-        tile: Tile,
+        blocks: Sequence[Tile],
         pixels: int,
         outside: Outside,
         settings: MapSettings,
@@ -112,7 +132,7 @@ class _Sample:
         def fit(part: Tile) -> Alone:
             return fit_alone(part, outside, settings)
 
-        self._blocks = list(workers.map(fit, tile.parts(BLOCK)))
+        self._blocks = list(workers.map(fit, blocks))
         sound = np.concatenate([np.asarray(block.sound) for block in self._blocks])
         sound &= np.arange(len(sound)) < pixels
         if not sound.any():

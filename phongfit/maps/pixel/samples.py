@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
 from phongfit.maps.pixel.lamps import Lamps, make_lamps
@@ -28,8 +27,6 @@ class Tile(NamedTuple):
     - `visibility`: (images, lobes, pixels), or `None` without shadows.
     - `table`: (levels,) or (images, levels), the light of each whole number; `None`
         if the target is light.
-
-    `target` and `used` are read without padding: see [`padded`][].
     """
 
     target: Shaped[Any, "images pixels 3"]
@@ -39,34 +36,6 @@ class Tile(NamedTuple):
     to_viewer: Float[Any, "some_pixels 3"]
     visibility: Any = None
     table: Any = None
-
-    def parts(self, size: int) -> "list[Tile]":
-        """The tile in parts of `size` pixels, without copies."""
-
-        def rows(table: Any, part: slice) -> Any:
-            return table if len(table) == 1 else table[part]
-
-        return [
-            Tile(
-                self.target[:, part],
-                self.used[:, part],
-                self.normal[part],
-                rows(self.position, part),
-                rows(self.to_viewer, part),
-                None if self.visibility is None else self.visibility[..., part],
-                self.table,
-            )
-            for start in range(0, len(self.normal), size)
-            for part in [slice(start, start + size)]
-        ]
-
-    def padded(self) -> "Tile":
-        """The tile with `target` and `used` padded with 0 to the length of `normal`."""
-        missing = len(self.normal) - self.target.shape[1]
-        pad = (0, 0), (0, missing), (0, 0)
-        return self._replace(
-            target=np.pad(self.target, pad), used=np.pad(self.used, pad)
-        )
 
     def rows(self, rows: Int[Array, " n"]) -> "Tile":
         """Some pixels of a tile of JAX arrays."""

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
-from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array
 
 from phongfit.maps.pixel.samples import Tile
@@ -88,38 +87,11 @@ class _Work(NamedTuple):
     length: Array
 
 
-@functools.lru_cache(maxsize=16)
-def compiled(settings: MapSettings, mesh: Mesh, fit: Callable[..., Any]):
-    """Compiled `fit`, with pixels distributed over a mesh's devices.
-
-    **Returns:** a function from tile and outside to [`PixelFit`][]`.arrays()`.
-    """
-    axis = mesh.axis_names[0]
-    along = PartitionSpec(axis)
-
-    def shares(tile: Tile) -> Tile:
-        def unless_one(array: Array) -> PartitionSpec:
-            return PartitionSpec() if array.shape[0] == 1 else along
-
-        return Tile(
-            PartitionSpec(None, axis),
-            PartitionSpec(None, axis),
-            along,
-            unless_one(tile.position),
-            unless_one(tile.to_viewer),
-            None if tile.visibility is None else PartitionSpec(None, None, axis),
-            None if tile.table is None else PartitionSpec(),
-        )
-
-    @functools.partial(jax.jit, compiler_options=KEEP_BARRIERS)
-    def run(tile: Tile, outside: Any) -> Any:
-        spread = jax.shard_map(
-            lambda tile, outside: fit(tile, outside, settings).arrays(),
-            mesh=mesh,
-            in_specs=(shares(tile), PartitionSpec()),
-            out_specs=along,
-            check_vma=False,
-        )
-        return spread(tile, outside)
-
-    return run
+@functools.partial(
+    jax.jit, static_argnames=("settings", "fit"), compiler_options=KEEP_BARRIERS
+)
+def run(
+    tile: Tile, outside: Any, settings: MapSettings, fit: Callable[..., Any]
+) -> dict[str, Array]:
+    """The arrays of `fit(tile, outside, settings)`, by their names in files."""
+    return fit(tile, outside, settings).arrays()
