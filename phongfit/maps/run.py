@@ -25,9 +25,8 @@ from phongfit.maps.materials.bases import held
 from phongfit.maps.materials.block import Given, fit_shared
 from phongfit.maps.materials.finding import Materials, choose_sample, find_materials
 from phongfit.maps.passes import fit_in_passes, usual_passes
-from phongfit.maps.pixel.block import fit_tile
+from phongfit.maps.pixel.block import BLOCK, fit_tile, run
 from phongfit.maps.pixel.settings import MAP_PARAMETERS
-from phongfit.maps.pixel.tile import BLOCK, run
 from phongfit.maps.result import (
     WEIGHTS,
     Layer,

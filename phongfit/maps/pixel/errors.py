@@ -8,8 +8,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from phongfit.fitting.uncertainty.identifiability import SEEN
-from phongfit.maps.pixel.lamps import facing
+from phongfit.maps.pixel.lighting import facing
 from phongfit.maps.pixel.samples import Samples
+from phongfit.maps.pixel.settings import Point, Unknowns
 from phongfit.maps.pixel.small import (
     Numbers,
     Triangle,
@@ -20,7 +21,6 @@ from phongfit.maps.pixel.small import (
 )
 from phongfit.maps.pixel.step import Edges, Free, reduce_sums
 from phongfit.maps.pixel.sums import Sums
-from phongfit.maps.pixel.unknowns import Point, Unknowns
 
 # Largest error of an identified normal, in degrees: the model is not linear beyond.
 WIDEST = 20.0
