@@ -77,7 +77,7 @@ from .lights import (
     SpotLight as SpotLight,
 )
 from .maps.cluster import fit_stored_maps as fit_stored_maps
-from .maps.pixel.flags import Flag as Flag
+from .maps.pixel.settings import Flag as Flag
 from .maps.result import (
     Maps as Maps,
     load_maps as load_maps,

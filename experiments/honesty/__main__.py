@@ -9,8 +9,10 @@ warning whenever an answer misleads, and none if the model is right.
 
 import contextlib
 import dataclasses
+import sys
 from typing import Annotated
 
+import jax
 import tyro
 from rich.console import Console
 from rich.progress import track
@@ -81,6 +83,10 @@ def main(
                 chosen, "situations", console=console, disable=quiet
             ):
                 rows.append(run_situation(situation, count, seed))
+                if quiet:
+                    print(rows[-1].in_one_line(), file=sys.stderr, flush=True)
+                # Compiled programs would add up to more memory maps than Linux allows.
+                jax.clear_caches()
         for other in others:
             rows += other.rows()
     for bits in wanted:

@@ -42,6 +42,11 @@ class Row:
         """Whether the situation passes all checks."""
         return not self.verdict.faults
 
+    def in_one_line(self) -> str:
+        """Name, seconds and faults."""
+        found = "; ".join(self.verdict.faults) or "ok"
+        return f"float{self.bits}, {self.seconds:.0f} s: {self.name}: {found}"
+
 
 def own_bits() -> int:
     """Number of bits of this process's floats, 32 or 64."""

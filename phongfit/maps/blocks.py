@@ -39,7 +39,7 @@ from phongfit.maps.job import (
 from phongfit.maps.layers import Layers, Noise, mask_layers
 from phongfit.maps.pixel.settings import MAP_PARAMETERS
 from phongfit.maps.result import Layer, layers_of, view_of
-from phongfit.maps.run import as_mesh, fit_job, tile_size, versions
+from phongfit.maps.run import Team, as_team, fit_job, tile_size, versions
 from phongfit.maps.stacks import (
     AbstractStack,
     ArrayStack,
@@ -164,10 +164,9 @@ def fit_block(
     if found is not None:
         return _counts(found, plan), False
     job = plan.job(group, number, stack)
-    mesh, count = as_mesh(None), len(plan.scenes)
-    size, part = tile_size(math.prod(plan.block), count, None, mesh)
-    maps = fit_job(job, mesh, size if threads > 1 else part, part, threads)
-    arrays = maps.pixel_arrays()
+    team = Team(as_team().devices, threads)
+    size = tile_size(math.prod(plan.block), len(plan.scenes), None, as_team())
+    arrays = fit_job(job, size, team).pixel_arrays()
     store.save(number, arrays)
     return _counts(arrays, plan), True
 

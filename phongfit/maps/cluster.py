@@ -18,7 +18,7 @@ from phongfit.edge import checked, shown
 from phongfit.files.zarrs import open_group, require, store_of, write_attributes
 from phongfit.maps.ahead import ahead
 from phongfit.maps.blocks import Counts, Place, fit_block, make_place
-from phongfit.maps.run import as_mesh, bar, side_by_side
+from phongfit.maps.run import as_team, bar
 from phongfit.maps.stacks import AbstractStack, ZarrStack
 from phongfit.maps.store import alone_at
 from phongfit.maps.stored import StoredMaps
@@ -34,14 +34,6 @@ ONE_CORE = {
     "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
 }
 """Environment of a worker before it imports JAX: computations use one thread."""
-
-DEATHS = 12
-"""Maximum number of workers that may die over one block: a few deaths may have other
-reasons, so many are caused by the block."""
-
-AHEAD = 4
-"""Number of blocks per thread that are submitted to the scheduler at a time."""
-
 
 BESIDE = 8
 """Maximum number of blocks that one process fits in parallel, to limit memory."""
@@ -121,7 +113,7 @@ def _here(
     place: Place, count: int, stack: AbstractStack | None
 ) -> Iterator[tuple[int, tuple[Counts, bool]]]:
     """Fit blocks in this process, some in parallel, and yield them in order."""
-    cores = side_by_side(as_mesh(None))
+    cores = as_team().threads
     beside = min(cores, BESIDE)
 
     def fit(number: int) -> tuple[Counts, bool]:
@@ -159,66 +151,37 @@ def _check_client(client: Any) -> None:
 def _spread(
     client: "distributed.Client", place: Place, count: int
 ) -> Iterator[tuple[int, tuple[Counts, bool]]]:
-    """Submit blocks to workers, and yield them as they are finished.
+    """Submit all blocks to workers, and yield a number and each one as it is finished.
 
     **Raises:** `ValueError` or `OSError` of a block; `OSError` if the cluster is gone,
-    or more than `DEATHS` workers die over a block.
+    or if more workers die over a block than Dask allows.
     """
     import distributed
 
-    numbers = {}
-    deaths: dict[int, int] = {}
-    coming = iter(range(count))
-    waiting = distributed.as_completed(loop=client.loop)
-
-    def submit(number: int) -> None:
-        future = client.submit(fit_block, place, number, pure=False)
-        numbers[future] = number
-        waiting.add(future)
-
-    def more() -> None:
-        threads: Any = client.nthreads()
-        ahead = AHEAD * max(sum(threads.values()), 1)
-        while len(numbers) < ahead and (number := next(coming, None)) is not None:
-            submit(number)
-
+    futures = client.map(fit_block, [place] * count, range(count), pure=False)
+    waiting: Any = distributed.as_completed(futures, loop=client.loop)
     try:
-        more()
-        for future in waiting:
-            number = numbers.pop(future)
+        for number, future in enumerate(waiting):
+            error: Any = future.exception() if future.status == "error" else None
             if future.status == "finished":
                 yield number, future.result()
-            elif isinstance(error := _failure(future), distributed.KilledWorker):
-                deaths[number] = deaths.get(number, 0) + 1
-                if deaths[number] * _patience(error) > DEATHS:
-                    raise OSError(
-                        f"client: workers died {DEATHS} times over block {number} of "
-                        f"{place.output}: give them more memory, or a smaller block"
-                    ) from error
-                submit(number)
             elif isinstance(error, ValueError | OSError):
                 raise error
             else:
+                killed = isinstance(error, distributed.KilledWorker)
+                why = (
+                    f"workers died over one block {error.allowed_failures + 1} times: "
+                    "give them more memory, or a smaller block"
+                    if killed
+                    else "the cluster is gone"
+                )
                 raise OSError(
-                    f"client: the cluster is gone; finished blocks stay in "
-                    f"{place.output}, and the same run goes on there"
+                    f"client: {why}; finished blocks stay in {place.output}, and the "
+                    "same run goes on there"
                 ) from error
-            more()
     finally:
         with contextlib.suppress(Exception):
-            client.cancel([*numbers])
-
-
-def _failure(future: Any) -> BaseException | None:
-    """The exception of a future without a result."""
-    if future.status != "error":
-        return None
-    return future.exception()
-
-
-def _patience(error: Any) -> int:
-    """Number of workers that died before Dask gave up."""
-    return error.allowed_failures + 1
+            client.cancel(futures)
 
 
 @contextlib.contextmanager
@@ -267,10 +230,7 @@ def _local(count: int) -> "Iterator[distributed.Client]":
         "distributed.worker.multiprocessing-method": "spawn",
         "distributed.nanny.pre-spawn-environ": environment,
         # The block is rarely the reason for a worker's death.
-        "distributed.scheduler.allowed-failures": DEATHS - 1,
-        # Dask's monitoring runs on the workers' cores: less often than its default.
-        "distributed.worker.profile.interval": "200ms",
-        "distributed.admin.system-monitor.interval": "2s",
+        "distributed.scheduler.allowed-failures": 11,
     }
     with (
         dask.config.set(settings),

@@ -22,8 +22,7 @@ from phongfit.geometry.tracing import trace
 from phongfit.maps.layers import Layers, Noise, mask_layers
 from phongfit.maps.pixel.lighting import Lighting, make_lighting
 from phongfit.maps.pixel.lobes import in_numbers, is_power
-from phongfit.maps.pixel.pixel import Known, Outside
-from phongfit.maps.pixel.samples import Tile
+from phongfit.maps.pixel.samples import Known, Outside, Tile
 from phongfit.maps.pixel.settings import MAP_PARAMETERS, MOST_MATERIALS, MapSettings
 from phongfit.maps.stacks import AbstractStack
 from phongfit.material import Material
@@ -78,16 +77,22 @@ class Geometry:
     def tile(
         self, pixels: np.ndarray, target: Coded, used: np.ndarray, size: int
     ) -> Tile:
-        """The tile of some pixels, with geometry padded to `size` pixels."""
-        padded = np.pad(pixels, (0, size - len(pixels)), mode="edge")
+        """The tile of some pixels, padded to `size` pixels."""
+        missing = size - len(pixels)
+        padded = np.pad(pixels, (0, missing), mode="edge")
+
+        def fill(samples: np.ndarray) -> np.ndarray:
+            if not missing:
+                return samples
+            return np.pad(samples, ((0, 0), (0, missing), (0, 0)))
 
         def rows(table: np.ndarray) -> np.ndarray:
             return table if len(table) == 1 else table[padded]
 
         seen = self.visibility
         return Tile(
-            target.numbers,
-            used,
+            fill(target.numbers),
+            fill(used),
             self.normal[padded],
             rows(self.position),
             rows(self.to_viewer),
@@ -118,7 +123,7 @@ class Job:
         return np.flatnonzero(self.geometry.mask & self.masks.anywhere())
 
     def tile(self, pixels: np.ndarray, size: int) -> Tile:
-        """The tile of some pixels; see [`padded`][phongfit.maps.pixel.samples.Tile]."""
+        """The tile of some pixels, padded to `size` pixels that are not used."""
         order = self.outside.lighting.order
         target = self.stack.take_coded(pixels, order)
         hidden = np.ma.getmask(target.numbers)
@@ -484,42 +489,34 @@ def check_enough(settings: MapSettings, images: int) -> None:
 
     **Raises:** `ValueError` that names unknowns which these images identify.
     """
-    unknowns = settings.unknowns()
-    if settings.normals == "fit":
-        _check_enough_for_normals(settings, images)
-    if 3 * images > unknowns:
-        return
-    needed = unknowns // 3 + 1
-    could = [
-        f"unknowns={names!r}"
-        for names in (("diffuse", "specular"), ("ambient", "diffuse"), ("diffuse",))
-        if set(names) <= set(settings.names) and 3 * images > 3 * len(names)
-    ]
-    hint = (
-        f"with {images}, {could[0]} is identifiable, the rest being known"
-        if could
-        else "one material for all pixels can be found by fit"
-    )
-    raise ValueError(
-        f"images: expected at least {needed} for the {unknowns} unknowns of a pixel, "
-        f"got {images}, which is {3 * images} samples ({hint})"
-    )
-
-
-def _check_enough_for_normals(settings: MapSettings, images: int) -> None:
-    """Check the number of images for normals, which more channels do not replace."""
-    needed = len(settings.columns) + settings.shiny + 2 + settings.searched
+    needed = _least_images(settings)
     if images >= needed:
         return
-    hint = (
-        f"with {images}, unknowns=('diffuse',) is identifiable: a matte surface"
-        if images >= 3
-        else "a matte surface needs 3"
+    some = [("ambient", "diffuse"), ("diffuse",)]
+    if settings.normals == "given":
+        some.insert(0, ("diffuse", "specular"))
+    could = (
+        f"unknowns={names!r}"
+        for names in some
+        if set(names) <= set(settings.names)
+        and images >= _least_images(dataclasses.replace(settings, names=names))
     )
+    what = "" if settings.normals == "given" else "normals and "
+    hint = "one material for all pixels can be found by fit"
+    if (first := next(could, None)) is not None:
+        hint = f"with {images}, {first} is identifiable, the rest being known"
     raise ValueError(
-        f"images: expected at least {needed} to find normals with "
-        f"{', '.join(settings.names)}, got {images} ({hint})"
+        f"images: expected at least {needed} for {what}{', '.join(settings.names)} of "
+        f"a pixel, got {images} ({hint})"
     )
+
+
+def _least_images(settings: MapSettings) -> int:
+    """Least number of images; for normals, further channels do not replace images."""
+    least = settings.unknowns() // 3 + 1
+    if settings.normals == "given":
+        return least
+    return max(least, len(settings.columns) + settings.shiny + 2 + settings.searched)
 
 
 def make_outside(

@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from phongfit.checks import NOISE, as_array, is_noise, unmasked
-from phongfit.edge import shown
 from phongfit.fitting.problem.inputs import is_number
 from phongfit.maps.stacks import Update, gather
 
@@ -118,33 +117,20 @@ class Noise:
         **Raises:** `ValueError` that names the noise.
         """
         self.known = noise is not None
-        several = not is_number(noise)
-        self.varies = several
-        self.level = 1.0
-        if several:
-            dtype = jnp.result_type(float)
-            self._layers = Layers("noise", noise, shape, dtype)
-            for k in range(len(self._layers)):
-                layer = self._layers[k]
-                if not np.all(is_noise(layer)):
-                    which = f"[{k}]" if len(self._layers) > 1 else ""
-                    low, high = NOISE
-                    raise ValueError(
-                        f"noise{which}: expected finite numbers > 0, from {low:g} to "
-                        f"{high:g}"
-                    )
-        elif self.known:
-            try:
-                number: Any = noise
-                self.level = float(number)
-            except Exception:
-                self.level = np.nan
-            if not is_noise(self.level):
+        self.varies = self.known and not is_number(noise)
+        one = [1.0 if noise is None else noise]
+        layers = noise if self.varies else one
+        self._layers = Layers("noise", layers, shape, jnp.result_type(float))
+        for k, layer in enumerate(self._layers.arrays):
+            if not np.all(is_noise(layer)):
+                which = f"[{k}]" if len(self._layers) > 1 else ""
                 low, high = NOISE
+                got = f", got {layer}" if layer.ndim == 0 else ""
                 raise ValueError(
-                    f"noise: expected a number > 0, from {low:g} to {high:g}, got "
-                    f"{shown(noise)}"
+                    f"noise{which}: expected finite numbers > 0, from {low:g} to "
+                    f"{high:g}{got}"
                 )
+        self.level = 1.0 if self.varies else float(self._layers.arrays[0])
 
     @property
     def arrays(self) -> list[np.ndarray] | float | None:

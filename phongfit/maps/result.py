@@ -24,8 +24,7 @@ from phongfit.geometry.height import HeightField
 from phongfit.geometry.integration import integrate_normals, label_pieces
 from phongfit.lights import AbstractLight, brighter
 from phongfit.maps.handedness import is_mirrored
-from phongfit.maps.pixel.flags import Flag
-from phongfit.maps.pixel.settings import MAP_PARAMETERS, MOST_MATERIALS
+from phongfit.maps.pixel.settings import MAP_PARAMETERS, MOST_MATERIALS, Flag
 from phongfit.material import Material
 from phongfit.reflectance import AbstractSpecular
 from phongfit.rendering.film import Film

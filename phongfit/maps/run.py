@@ -4,17 +4,15 @@ import concurrent.futures
 import dataclasses
 import functools
 import importlib.metadata
-import math
 import os
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
@@ -27,13 +25,10 @@ from phongfit.maps.materials.bases import held
 from phongfit.maps.materials.block import Given, fit_shared
 from phongfit.maps.materials.finding import Materials, choose_sample, find_materials
 from phongfit.maps.passes import fit_in_passes, usual_passes
-from phongfit.maps.pixel.block import fit_tile
-from phongfit.maps.pixel.samples import Tile
+from phongfit.maps.pixel.block import BLOCK, fit_tile, run
 from phongfit.maps.pixel.settings import MAP_PARAMETERS
-from phongfit.maps.pixel.tile import BLOCK, compiled
 from phongfit.maps.result import (
     WEIGHTS,
-    BasisMaterials,
     Layer,
     Maps,
     ParameterMaps,
@@ -49,17 +44,11 @@ from phongfit.scene import Scene
 
 TILES_FORMAT = "phongfit tiles"
 
-TILE_BYTES = 2**26
-"""Maximum bytes of light in a tile by default: a few tiles fit into any memory.
+TILE_BYTES, CORE_BYTES = 2**26, 2**24
+"""Bytes of light in a tile by default: on a GPU, and for each core of a CPU.
 
-On a CPU a tile holds at most what the cores work on at a time, since allocating memory
-for larger tiles takes longer than the computation."""
-
-PART_BYTES = 2**24
-"""Maximum bytes of light that a CPU core works on at a time.
-
-They are few enough for its caches, and enough that the blocks of a second pass, which
-may be nearly empty, take a small fraction of the time."""
+The latter are few enough for its caches, and enough that the blocks of a second pass,
+which may be nearly empty, take a small fraction of the time."""
 
 
 @checked
@@ -158,9 +147,9 @@ def fit_maps(
         from, instead of the scan.
     - `min_cosine`: samples that no light reaches at a cosine above this are left out as
         shadowed; −1 keeps all.
-    - `tile_pixels`: pixels of a tile; default: as many as hold 16 MB of light per core,
-        at most 64 MB.
-    - `devices`: devices that work on the tiles; default: all local ones.
+    - `tile_pixels`: pixels that a core or a GPU works on at a time; default: as many as
+        hold 16 MB of light, or 64 MB on a GPU.
+    - `devices`: devices that work on the tiles in turn; default: all local ones.
     - `output`: a folder that keeps finished tiles, as a zarr group. An interrupted run
         continues from there, with bit-identical results. It must be empty, or of the
         same job.
@@ -237,28 +226,43 @@ def _fit_once(
     job = make_job(scenes, images, **asked)
     if not len(job.pixels):
         raise ValueError("mask: it leaves no pixel that sees the surface")
-    mesh = as_mesh(devices)
-    count = len(job.scenes)
-    size, part = tile_size(len(job.pixels), count, tile_pixels, mesh)
+    team = as_team(devices)
+    size = tile_size(len(job.pixels), len(job.scenes), tile_pixels, team)
     if output is None:
-        return fit_job(job, mesh, size, part, side_by_side(mesh), None, progress)
+        return fit_job(job, size, team, None, progress)
     identity = job.identify() | {
         "images": identify_stack(images),
-        "tile": f"{size} pixels on {mesh.size} devices",
+        "tile": f"{size} pixels",
         "versions": versions(),
     }
     with alone_at(output) as place:
         group = open_store(place, {"format": TILES_FORMAT, "job": identity})
         store = BlockStore(group, identity, (len(job.pixels),), (size,))
-        return fit_job(job, mesh, size, part, side_by_side(mesh), store, progress)
+        return fit_job(job, size, team, store, progress)
+
+
+class Team(NamedTuple):
+    """Devices that work on tiles in turn, and the number of threads that feed them."""
+
+    devices: Sequence[Any]
+    threads: int
+
+
+def as_team(devices: Sequence[Any] | None = None) -> Team:
+    """The devices of a run; `None` for all local ones."""
+    devices = jax.local_devices() if devices is None else list(devices)
+    if not devices or not all(isinstance(one, jax.Device) for one in devices):
+        raise ValueError(f"devices: expected devices of JAX, got {shown(devices)}")
+    # XLA uses one core for a tile. On other devices one tile is read while the last is
+    # fitted.
+    cpu = devices[0].platform == "cpu"
+    return Team(devices, (os.cpu_count() or 1) if cpu else 2 * len(devices))
 
 
 def fit_job(
     job: Job,
-    mesh: Mesh,
     size: int,
-    part: int,
-    threads: int,
+    team: Team,
     store: BlockStore | None = None,
     progress: bool = False,
 ) -> Maps:
@@ -266,50 +270,49 @@ def fit_job(
 
     **Arguments:**
 
-    - `size`: pixels of a tile; `part`: pixels of the parts in which it is fitted, for
-        which the program is compiled.
-    - `threads`: number of parts that are fitted in parallel.
+    - `size`: pixels of a tile, for which the program is compiled.
     - `store`: the store of finished tiles.
     """
-    settings, outside, pixels = job.settings, job.outside, job.pixels
+    shared, matte = None, False
+    if job.settings.materials is not None:
+        shared = _materials(job, team.threads)
+        matte = not len(shared.bases.shares)
+    if matte:
+        job, shared = _without_highlights(job), None
+    among, fit = job.outside, fit_tile
+    if shared is not None:
+        among, fit = Given(job.outside, shared.bases), fit_shared
+    layers, pixels = _layers(job, shared), job.pixels
     tiles = [pixels[k : k + size] for k in range(0, len(pixels), size)]
+    if store is not None:
+        store.make(layers, job.outside.noise.dtype)
 
-    with concurrent.futures.ThreadPoolExecutor(threads) as workers:
-        shared, among, fit, matte = None, outside, fit_tile, False
-        if settings.materials is not None:
-            shared = _materials(job, workers)
-            matte = not len(shared.bases.shares)
-            among, fit = Given(outside, shared.bases), fit_shared
-        if matte:
-            job = _without_highlights(job)
-            shared, settings, among, fit = None, job.settings, job.outside, fit_tile
-        run = compiled(settings, mesh, fit)
-
-        def work(part: Tile) -> dict[str, np.ndarray]:
-            return jax.tree.map(np.asarray, run(part.padded(), among))
-
-        maps = _Canvas(job, shared)
+    def work(number: int) -> dict[str, np.ndarray]:
+        done = None if store is None else store.load(number, layers)
+        if done is not None:
+            return done
+        device = team.devices[number % len(team.devices)]
+        inputs = jax.device_put((job.tile(tiles[number], size), among), device)
+        fitted = run(*inputs, job.settings, fit)
+        count = len(tiles[number])
+        arrays = {name: np.asarray(array)[:count] for name, array in fitted.items()}
         if store is not None:
-            store.make(maps.layers, outside.noise.dtype)
+            store.save(number, arrays)
+        return arrays
 
-        def read(tile: int) -> Tile | dict[str, np.ndarray]:
-            done = None if store is None else store.load(tile, maps.layers)
-            return job.tile(tiles[tile], size) if done is None else done
-
-        for k, tile in bar(ahead(read, len(tiles)), len(tiles), progress):
-            if isinstance(tile, dict):
-                arrays = tile
-            else:
-                # XLA uses one core for an array of this size.
-                parts = list(workers.map(work, tile.parts(part)))
-                arrays = {
-                    name: np.concatenate([p[name] for p in parts])[: len(tiles[k])]
-                    for name in parts[0]
-                }
-                if store is not None:
-                    store.save(k, arrays)
-            maps.paint(tiles[k], arrays)
-    return dataclasses.replace(maps.finished(job), matte=matte)
+    whole = {
+        name: np.full(
+            (job.geometry.mask.size, *layer.channels),
+            layer.outside,
+            job.outside.noise.dtype if layer.dtype == "float" else layer.dtype,
+        )
+        for name, layer in layers.items()
+    }
+    done = ahead(work, len(tiles), team.threads)
+    for number, arrays in bar(done, len(tiles), progress):
+        for name, values in arrays.items():
+            whole[name][as_index(tiles[number])] = values
+    return dataclasses.replace(_maps_of(job, whole, shared), matte=matte)
 
 
 def _without_highlights(job: Job) -> Job:
@@ -321,54 +324,29 @@ def _without_highlights(job: Job) -> Job:
     )
 
 
-def _materials(job: Job, workers: concurrent.futures.Executor) -> Materials:
+def _materials(job: Job, threads: int) -> Materials:
     """The shared materials, the same for equal jobs."""
     sample = choose_sample(job.pixels, len(job.scenes))
-    size = -(-len(sample) // BLOCK) * BLOCK
-    tile = job.tile(sample, size).padded()
-    return find_materials(tile, len(sample), job.outside, job.settings, workers)
+    blocks = [
+        job.tile(sample[k : k + BLOCK], BLOCK) for k in range(0, len(sample), BLOCK)
+    ]
+    with concurrent.futures.ThreadPoolExecutor(threads) as workers:
+        return find_materials(blocks, len(sample), job.outside, job.settings, workers)
 
 
-def as_mesh(devices: Sequence[Any] | None) -> Mesh:
-    """The devices of a run; `None` for all local ones."""
-    devices = jax.local_devices() if devices is None else list(devices)
-    if not devices or not all(isinstance(one, jax.Device) for one in devices):
-        raise ValueError(f"devices: expected devices of JAX, got {shown(devices)}")
-    return Mesh(np.array(devices), ("pixels",))
-
-
-def tile_size(
-    pixels: int, images: int, wanted: int | None, mesh: Mesh
-) -> tuple[int, int]:
-    """Pixels of a tile and of its parts, as multiples of the devices' blocks."""
-    unit = BLOCK * mesh.size
-    beside = side_by_side(mesh)
-    most = max(PART_BYTES // (images * 12 * unit), 1)
+def tile_size(pixels: int, images: int, wanted: int | None, team: Team) -> int:
+    """Pixels of a tile, a multiple of a block's."""
     if wanted is None:
-        wanted = TILE_BYTES // (images * 12)
-        if _on_cpu(mesh):
-            wanted = min(wanted, beside * most * unit)
-        # Tiles of equal size: a partly filled last tile takes as long as a full one.
-        wanted = -(-pixels // max(round(pixels / max(wanted, 1)), 1))
+        cpu = team.devices[0].platform == "cpu"
+        most = (CORE_BYTES if cpu else TILE_BYTES) // (images * 12 * BLOCK) * BLOCK
+        # Tiles of equal size, since a partly filled one takes as long as a full one; in
+        # a multiple of the number of cores, so that none idles.
+        unit = team.threads if cpu else 1
+        rounds = max(round(pixels / max(most, BLOCK) / unit), 1)
+        wanted = -(-pixels // (rounds * unit))
     elif not isinstance(wanted, int) or wanted < 1:
         raise ValueError(f"tile_pixels: expected a whole number ≥ 1, got {wanted!r}")
-    units = -(-min(wanted, pixels) // unit)
-    parts = 1
-    if _on_cpu(mesh):
-        # Parts of equal size, in a multiple of the number of cores, so that none idles.
-        parts = beside * max(round(units / (beside * most)), 1)
-        parts = min(parts, units)
-    part = -(-units // parts) * unit
-    return parts * part, part
-
-
-def side_by_side(mesh: Mesh) -> int:
-    """Number of parts that are fitted in parallel."""
-    return os.cpu_count() or 1 if _on_cpu(mesh) and mesh.size == 1 else 1
-
-
-def _on_cpu(mesh: Mesh) -> bool:
-    return mesh.devices.flat[0].platform == "cpu"
+    return -(-min(wanted, pixels) // BLOCK) * BLOCK
 
 
 def versions() -> str:
@@ -407,89 +385,46 @@ def _lines(
         yield k, item
 
 
-class _Canvas:
-    """Maps that are assembled from tiles."""
+def _layers(job: Job, shared: Materials | None) -> dict[str, Layer]:
+    """The arrays over the pixels that are fitted."""
+    layers = layers_of(1 if job.settings.shared else 3)
+    known = ("depth", "normals", "normals_stderr")
+    for name in known[: 1 if job.settings.normals == "fit" else 3]:
+        layers.pop(name)
+    if shared is not None:
+        layers[WEIGHTS] = Layer((len(shared.bases.shares),), 0)
+    return layers
 
-    def __init__(self, job: Job, shared: Materials | None):
-        self._size, self._shared = job.geometry.mask.shape, shared
-        layers = self.layers = layers_of(1 if job.settings.shared else 3)
-        given = ("depth", "normals", "normals_stderr")
-        for name in given[: 1 if job.settings.normals == "fit" else 3]:
-            layers.pop(name)
-        if shared is not None:
-            layers[WEIGHTS] = Layer((len(shared.bases.shares),), 0)
-        floats = job.outside.noise.dtype
-        self._arrays = {
-            name: np.full(
-                (math.prod(self._size), *layer.channels),
-                layer.outside,
-                floats if layer.dtype == "float" else layer.dtype,
-            )
-            for name, layer in layers.items()
-        }
 
-    def paint(self, pixels: np.ndarray, tile: dict[str, np.ndarray]) -> None:
-        """Write the arrays of a tile at its pixels."""
-        place = as_index(pixels)
-        for name, values in tile.items():
-            self._arrays[name][place] = values
-
-    def finished(self, job: Job) -> Maps:
-        """The maps, after all tiles were painted."""
-        settings, scene = job.settings, job.scenes[0]
-        maps: dict[str, Any] = {
-            name: array.reshape(*self._size, *array.shape[1:])
-            for name, array in self._arrays.items()
-        }
-        errors = {name: maps.pop(f"stderr_{name}") for name in MAP_PARAMETERS}
-        for name in job.unknowns:
-            # Without ambient light ρ_a is not identified, and was left out of the fit.
-            if name not in settings.names:
-                errors[name][:] = np.inf
-        given: Any = job.noise.given()
-        if job.noise.varies:
-            # Residuals are in units of each sample's own noise.
-            maps["noise"] = maps["noise"] * given
-        normals, depth = job.geometry.seen(scene, self._arrays.get("normals"))
-        known = np.where(job.geometry.mask, 0, np.inf).astype(normals.dtype)
-        weights = maps.pop(WEIGHTS, None)
-        maps.setdefault("normals_stderr", known)
-        maps.pop("normals", None)
-        return Maps(
-            **maps,
-            stderr=ParameterMaps(**errors),
-            normals=normals,
-            unknowns=tuple(name for name in MAP_PARAMETERS if name in settings.names),
-            noise_given=given,
-            depth=depth,
-            camera=scene.camera,
-            specular_model=scene.specular_model,
-            ambient_light=tuple(np.asarray(scene.ambient).tolist()),
-            materials=self._basis(settings.log_bounds, weights),
-        )
-
-    def _basis(
-        self, log_bounds: tuple[float, float], weights: np.ndarray | None
-    ) -> BasisMaterials | None:
-        """The shared materials, or `None`.
-
-        **Arguments:** `log_bounds`: of log f; `weights`: of the materials, per pixel.
-        """
-        if self._shared is None or weights is None:
-            return None
-        bases = self._shared.bases
-        values = np.asarray(bases.values, float)
-        errors = np.sqrt(np.diagonal(np.asarray(bases.covariance, float), 0, 1, 2))
-        shape = (len(values), 3)
-        shininess = np.exp(values[:, 0])
-        gap = np.abs(values[:, :1] - np.array(log_bounds)).min(axis=1)
-        return BasisMaterials(
-            specular=np.broadcast_to(values[:, 1:], shape).copy(),
-            shininess=shininess,
-            stderr_specular=np.broadcast_to(errors[:, 1:], shape).copy(),
-            stderr_shininess=shininess * errors[:, 0],
-            at_bound=gap < 1e-5,
-            weights=weights,
-            criterion=np.asarray(self._shared.criterion, float),
-            sample=int(self._shared.sample),
-        )
+def _maps_of(job: Job, arrays: dict[str, np.ndarray], shared: Materials | None) -> Maps:
+    """The maps of fitted arrays, whose first axis is all pixels."""
+    settings, scene = job.settings, job.scenes[0]
+    size = job.geometry.mask.shape
+    normals, depth = job.geometry.seen(scene, arrays.pop("normals", None))
+    maps: dict[str, Any] = {
+        name: array.reshape(*size, *array.shape[1:]) for name, array in arrays.items()
+    }
+    errors = {name: maps.pop(f"stderr_{name}") for name in MAP_PARAMETERS}
+    for name in job.unknowns:
+        # Without ambient light ρ_a is not identified, and was left out of the fit.
+        if name not in settings.names:
+            errors[name][:] = np.inf
+    given: Any = job.noise.given()
+    if job.noise.varies:
+        # Residuals are in units of each sample's own noise.
+        maps["noise"] = maps["noise"] * given
+    known = np.where(job.geometry.mask, 0, np.inf).astype(normals.dtype)
+    maps.setdefault("normals_stderr", known)
+    weights = maps.pop(WEIGHTS, None)
+    return Maps(
+        **maps,
+        stderr=ParameterMaps(**errors),
+        normals=normals,
+        unknowns=tuple(name for name in MAP_PARAMETERS if name in settings.names),
+        noise_given=given,
+        depth=depth,
+        camera=scene.camera,
+        specular_model=scene.specular_model,
+        ambient_light=tuple(np.asarray(scene.ambient).tolist()),
+        materials=None if shared is None else shared.basis(settings, weights),
+    )

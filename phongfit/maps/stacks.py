@@ -292,13 +292,12 @@ class DatasetStack(AbstractArrays):
 
 @final
 class KeptStack(AbstractCodedStack):
-    """A stack that keeps the samples of the last request in memory."""
+    """A stack that keeps the samples of all requests in memory."""
 
     def __init__(self, stack: AbstractStack):
-        """**Arguments:** `stack`: a stack whose equal pixels are read repeatedly."""
+        """**Arguments:** `stack`: a stack of which few pixels are read, repeatedly."""
         self._stack = stack
-        self._asked: tuple[bytes, tuple[int, ...]] | None = None
-        self._taken = Coded(np.zeros(0))
+        self._taken: dict[tuple[bytes, tuple[int, ...]], Coded] = {}
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -306,9 +305,9 @@ class KeptStack(AbstractCodedStack):
 
     def take_coded(self, pixels: Int[np.ndarray, " n"], order: Sequence[int]) -> Coded:
         asked = pixels.tobytes(), tuple(order)
-        if asked != self._asked:
-            self._asked, self._taken = asked, self._stack.take_coded(pixels, order)
-        return self._taken
+        if asked not in self._taken:
+            self._taken[asked] = self._stack.take_coded(pixels, order)
+        return self._taken[asked]
 
     def identify(self, update: Update) -> None:
         self._stack.identify(update)

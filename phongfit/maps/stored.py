@@ -16,7 +16,7 @@ from phongfit.files.inputs import naming
 from phongfit.files.records import AbstractRecord, parse_record, validated
 from phongfit.files.zarrs import address, attributes, open_group, read_window, writable
 from phongfit.geometry.cameras import WindowCamera
-from phongfit.maps.pixel.flags import Flag
+from phongfit.maps.pixel.settings import Flag
 from phongfit.maps.result import (
     MAPS_VERSION,
     Maps,

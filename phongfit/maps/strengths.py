@@ -25,7 +25,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from phongfit.calibration.least_squares import robust_scale, tukey_weight
+from phongfit.calibration.least_squares import (
+    blocks,
+    robust_scale,
+    summed_by_block,
+    tukey_weight,
+)
 from phongfit.geometry.surfaces import GBuffer, NormalMap
 from phongfit.maps.job import Job
 from phongfit.maps.layers import Layers
@@ -77,14 +82,11 @@ calibrated by its authors, strengths seem to be off by up to 5 %."""
 EQUAL = 5.0
 """Strengths may be equal if all are within this many standard errors of their mean."""
 
-BLOCK = 16
-"""Side of blocks of pixels whose errors are treated as correlated."""
-
 
 class Points(NamedTuple):
     """Samples of some pixels, and the light that arrives there.
 
-    - `light`: linear light of the photographs.
+    - `light`: linear light of the photographs, 0 for samples that may not be used.
     - `usable`: samples that may be used.
     - `irradiance`: E, the intensity of the light times the direction towards it.
     - `block`: number of the block of pixels with correlated errors.
@@ -213,8 +215,7 @@ def sample_points(
     pixels, light, free = pixels[kept], light[:, kept], free[:, kept]
     points = np.asarray(buffer.position).reshape(-1, 3)[pixels]
     irradiance = np.stack([_irradiance(scene, points) for scene in scenes])
-    rows, columns = np.divmod(pixels, seen.shape[1])
-    block = rows // BLOCK * (seen.shape[1] // BLOCK + 1) + columns // BLOCK
+    block = blocks(*seen.shape).ravel()[pixels]
     return pixels, Points(light, free, irradiance, block)
 
 
@@ -230,174 +231,111 @@ def solve(
     **Returns:** strengths, and the principal component of the errors of their
     logarithms that errors of the lights' directions cause.
     """
-    logs = np.log(values)
-    weight = (points.usable & (points.light > LIT * _brightest(points))).astype(float)
-    sums = _sum_up(points, highlight, np.exp(logs), weight)
-    for step in range(STEPS):
-        weight = sums.weight
-        change = np.stack(
-            [
-                _step(information, scores.sum(axis=0))
-                for information, scores in zip(
-                    sums.information, sums.gradient, strict=True
-                )
-            ],
-            axis=1,
+    images, pixels, _ = points.light.shape
+    bright = np.maximum(points.light.max(axis=0), 1e-6)
+    found = []
+    for k in range(values.shape[1]):
+        # A strength for all channels has those of a pixel as separate points.
+        some = slice(None) if values.shape[1] == 1 else slice(k, k + 1)
+        light, usable, shiny = (
+            each[..., some].reshape(images, -1)
+            for each in (points.light / bright, points.usable, highlight / bright)
         )
-        logs = logs + np.clip(change, -1, 1)
-        logs -= np.log(np.exp(logs).mean(axis=0))
-        sums = _sum_up(points, highlight, np.exp(logs), weight)
-        if step > 3 and np.abs(change).max() < SMALL:
-            break
-    turned = _turned(points, highlight, np.exp(logs), weight)
-    errors, likely = [], []
-    for c, (information, scores) in enumerate(
-        zip(sums.information, sums.gradient, strict=True)
-    ):
-        # Without the common factor, which held highlights would seem to determine.
-        ratios = np.eye(len(information)) - 1 / len(information)
-        inverse = np.linalg.pinv(ratios @ information @ ratios, 1e-9, hermitian=True)
-        blocks = len(scores) / max(len(scores) - 1, 1)
-        variance = blocks * np.diag(inverse @ scores.T @ scores @ inverse)
-        moved = np.radians(DIRECTION) * inverse @ turned[c]
-        errors.append(np.sqrt(variance + (moved**2).sum(axis=1) + LEAST**2))
-        directions, sizes, _ = np.linalg.svd(moved)
-        likely.append(sizes[0] * directions[:, 0])
-    values = np.exp(logs)
-    return Strengths(values, values * np.stack(errors, axis=1)), np.stack(
-        likely, axis=1
-    )
+        irradiance = points.irradiance[:, :, some].reshape(*light.shape, -1)
+        block = np.repeat(points.block, light.shape[1] // pixels)
+        flat = _Flat(light, usable, irradiance, shiny, block)
+        found.append(_solve(flat, np.log(values[:, k])))
+    logs, errors, likely = np.stack(found, axis=-1)
+    return Strengths(np.exp(logs), np.exp(logs) * errors), likely
 
 
-def _turned(
-    points: Points, highlight: np.ndarray, values: np.ndarray, weight: np.ndarray
-) -> list[Float[np.ndarray, "images turns"]]:
-    """Derivative of the gradient of log s by turns of each lamp about x, y and z."""
-    unit = 1 / _brightest(points)[0]
-    frames, b = _matte(points, highlight, values, weight, unit)
-    matte = np.einsum("lpca,pca->lpc", points.irradiance, b)
-    column = values[:, None] * (matte + highlight) * unit
-    changes = [
-        values[:, None] * unit * np.einsum("lpca,pca->lpc", turn, b)
-        for turn in (np.cross(axis, points.irradiance) for axis in np.eye(3))
-    ]
-    return [
-        np.concatenate(
-            [
-                sum(
-                    _eliminated(
-                        column[..., c], change[..., c], weight[..., c], frames[c]
-                    )
-                    for c in channels
-                )
-                for change in changes
-            ],
-            axis=1,
-        )
-        for channels in _channels(values)
-    ]
+class _Flat(NamedTuple):
+    """Samples of one channel each, in units of the brightest of a pixel's channel."""
 
-
-def _channels(values: Float[np.ndarray, "images channels"]) -> list[list[int]]:
-    """The channels of light that each strength of an image multiplies."""
-    return [[0, 1, 2]] if values.shape[1] == 1 else [[0], [1], [2]]
-
-
-def _eliminated(
-    one: Float[np.ndarray, "images pixels"],
-    other: Float[np.ndarray, "images pixels"],
-    weight: Float[np.ndarray, "images pixels"],
-    frame: Float[np.ndarray, "pixels images axes"],
-) -> Float[np.ndarray, "images images"]:
-    """Products of two derivatives for all pairs of images, with b eliminated."""
-    root = np.sqrt(weight)
-    left, right = (np.einsum("lp,pla->pla", root * x, frame) for x in (one, other))
-    products = np.diag((weight * one * other).sum(axis=1))
-    return products - np.einsum("pla,pma->lm", left, right)
+    light: Float[np.ndarray, "images points"]
+    usable: Bool[np.ndarray, "images points"]
+    irradiance: Float[np.ndarray, "images points axes"]
+    highlight: Float[np.ndarray, "images points"]
+    block: Int[np.ndarray, " points"]
 
 
 class _Sums(NamedTuple):
-    """Normal equations of log s with all b eliminated, channel by channel.
+    """Normal equations of log s with all b eliminated.
 
-    `gradient` has a row for each block of pixels; `weight` has the samples' weights in
-    the next step.
+    - `scores`: gradient, with a row for each block of pixels.
+    - `turned`: derivatives of the gradient by turns of each lamp about x, y and z.
+    - `weight`: weights of the samples in the next step.
     """
 
-    information: list[Float[np.ndarray, "images images"]]
-    gradient: list[Float[np.ndarray, "blocks images"]]
-    weight: Float[np.ndarray, "images pixels 3"]
+    information: Float[np.ndarray, "images images"]
+    scores: Float[np.ndarray, "blocks images"]
+    turned: Float[np.ndarray, "images turns"]
+    weight: Float[np.ndarray, "images points"]
 
 
-def _sum_up(
-    points: Points,
-    highlight: np.ndarray,
-    values: np.ndarray,
-    weight: np.ndarray,
-) -> _Sums:
-    unit = 1 / _brightest(points)[0]
-    frames, b = _matte(points, highlight, values, weight, unit)
-    matte = np.einsum("lpca,pca->lpc", points.irradiance, b)
-    expected = matte + highlight
-    left = (points.light - values[:, None] * expected) * unit
-    length = np.linalg.norm(points.irradiance, axis=-1) * np.linalg.norm(b, axis=-1)
+def _solve(
+    points: _Flat, logs: Float[np.ndarray, " images"]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Logarithms of strengths, their errors, and the likely error by directions."""
+    count = len(logs)
+    weight = (points.usable & (points.light > LIT)).astype(float)
+    sums = _sum_up(points, np.exp(logs), weight)
+    for step in range(STEPS):
+        weight, size = sums.weight, np.trace(sums.information) / count
+        # A factor on all strengths is not identified, and does not change.
+        firm = sums.information + size * (1 / count + 1e-9 * np.eye(count))
+        change = np.linalg.solve(firm, sums.scores.sum(axis=0))
+        logs = logs + np.clip(change, -1, 1)
+        logs -= np.log(np.exp(logs).mean())
+        sums = _sum_up(points, np.exp(logs), weight)
+        if step > 3 and np.abs(change).max() < SMALL:
+            break
+    # Without the common factor, which held highlights would seem to determine.
+    ratios = np.eye(count) - 1 / count
+    inverse = np.linalg.pinv(ratios @ sums.information @ ratios, 1e-9, hermitian=True)
+    several = len(sums.scores) / max(len(sums.scores) - 1, 1)
+    variance = several * ((sums.scores @ inverse) ** 2).sum(axis=0)
+    moved = np.radians(DIRECTION) * inverse @ sums.turned
+    directions, sizes, _ = np.linalg.svd(moved)
+    errors = np.sqrt(variance + (moved**2).sum(axis=1) + LEAST**2)
+    return logs, errors, sizes[0] * directions[:, 0]
+
+
+def _sum_up(points: _Flat, values: np.ndarray, weight: np.ndarray) -> _Sums:
+    irradiance, root = points.irradiance, np.sqrt(weight)
+    scaled = root * values[:, None]
+    # Orthonormal bases q of the light that b explains.
+    q, triangle = np.linalg.qr(np.moveaxis(scaled[..., None] * irradiance, 0, 1))
+    target = root * points.light - scaled * points.highlight
+    # With too few samples, the pseudo-inverse gives the solution of least norm.
+    inverse = np.linalg.pinv(triangle, rcond=1e-6)
+    b = np.einsum("pab,plb,lp->pa", inverse, q, target, optimize=True)
+    matte = np.einsum("lpa,pa->lp", irradiance, b)
+    expected = matte + points.highlight
+    left = points.light - values[:, None] * expected
+    length = np.linalg.norm(irradiance, axis=-1) * np.linalg.norm(b, axis=-1)
     lit = points.usable & (matte > LIT * length)
     # Residuals are smaller than the noise by the degrees of freedom of b.
-    images, axes = np.median(lit.sum(axis=0)), points.irradiance.shape[-1]
+    images, axes = np.median(lit.sum(axis=0)), irradiance.shape[-1]
     free = max(images - axes - 1, 1) / max(images, 1)
     scale = robust_scale(left[lit]) / np.sqrt(free)
-    following = lit * tukey_weight(left, max(scale, 1e-4))
-    column = values[:, None] * expected * unit
-    _, block = np.unique(points.block, return_inverse=True)
-    information, gradient = [], []
-    for channels in _channels(values):
-        matrix, rows = 0.0, np.zeros((block.max() + 1, len(values)))
-        for c in channels:
-            own, w, q = column[..., c], weight[..., c], frames[c]
-            matrix = matrix + _eliminated(own, own, w, q)
-            root = np.sqrt(w)
-            explained = np.einsum(
-                "pla,pa->lp", q, np.einsum("pla,lp->pa", q, root * left[..., c])
-            )
-            np.add.at(rows, block, (root * own * (root * left[..., c] - explained)).T)
-        information.append(matrix)
-        gradient.append(rows)
-    return _Sums(information, gradient, following)
+    column = scaled * expected
+    own = column.T[..., None] * q
 
+    def eliminated(other: np.ndarray) -> np.ndarray:
+        products = np.diag((column * other).sum(axis=1))
+        return products - np.einsum("pla,pma->lm", own, other.T[..., None] * q)
 
-def _matte(
-    points: Points,
-    highlight: np.ndarray,
-    values: np.ndarray,
-    weight: np.ndarray,
-    unit: np.ndarray,
-) -> tuple[list[np.ndarray], np.ndarray]:
-    """Orthonormal bases of the light that b explains, per channel, and the best b."""
-    frames, found = [], []
-    for c in range(3):
-        s = values[:, [min(c, values.shape[1] - 1)]]
-        root = np.sqrt(weight[..., c])
-        rows = (root * s * unit[:, c])[..., None] * points.irradiance[:, :, c]
-        target = root * unit[:, c] * (points.light[..., c] - s * highlight[..., c])
-        q, triangle = np.linalg.qr(np.moveaxis(rows, 0, 1))
-        right = np.einsum("pla,lp->pa", q, target)
-        # With too few samples, the pseudo-inverse gives the solution of least norm.
-        inverse = np.linalg.pinv(triangle, rcond=1e-6)
-        frames.append(q)
-        found.append(np.einsum("pab,pb->pa", inverse, right))
-    return frames, np.stack(found, axis=1)
-
-
-def _step(information: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """The step of log s, without the common factor, which is not identified."""
-    count = len(information)
-    held = information + np.full((count, count), np.trace(information) / count**2)
-    held += 1e-9 * np.trace(information) / count * np.eye(count)
-    return np.linalg.solve(held, right)
-
-
-def _brightest(points: Points) -> Float[np.ndarray, "1 pixels 3"]:
-    light = np.where(points.usable, points.light, 0)
-    return np.maximum(light.max(axis=0, keepdims=True), 1e-6)
+    turns = [np.cross(axis, irradiance) for axis in np.eye(3)]
+    turned = [eliminated(scaled * np.einsum("lpa,pa->lp", t, b)) for t in turns]
+    scores = column * root * left
+    scores = scores.T - np.einsum("pla,pma,mp->pl", own, q, root * left, optimize=True)
+    return _Sums(
+        eliminated(column),
+        summed_by_block(scores, points.block),
+        np.concatenate(turned, axis=1),
+        lit * tukey_weight(left, max(scale, 1e-4)),
+    )
 
 
 def _irradiance(

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from phongfit.calibration.least_squares import blocks, summed_by_block
 from phongfit.edge import checked
 from phongfit.geometry.cameras import (
     AbstractCamera,
@@ -62,9 +63,6 @@ SIGNIFICANT = 3.0
 
 LOWER = 0.9
 """Largest noise of an improvement, relative to that with the given camera."""
-
-BLOCK = 8
-"""Side of a block of pixels, in pixels, whose errors may be correlated."""
 
 
 class FovFit(NamedTuple):
@@ -152,8 +150,7 @@ def _fit_among(
         maps = fit_maps(some, stack, mask=sample, **options)
         return _Noise(maps.noise[sample].astype(float), maps.samples[sample])
 
-    rows, columns = np.nonzero(sample)
-    block = rows // BLOCK * 10**6 + columns // BLOCK
+    block = blocks(*sample.shape)[sample]
     given = fitted(scenes)
     noise = {degrees: fitted(seen_over(scenes, degrees)) for degrees in angles}
     for _ in range(steps):
@@ -231,7 +228,8 @@ def _judge(
     costs = every[:, together].sum(axis=1)[:-1]
     best = int(np.argmin(costs))
     most_likely = noise[angles[best]]
-    gain = _sum_blocks((given.cost - most_likely.cost)[together], block[together])
+    gain = given.cost - most_likely.cost
+    gain = summed_by_block(gain[together, None], block[together])
     spread = np.sqrt(len(gain) * np.var(gain, ddof=1)) if len(gain) > 1 else np.inf
     better = float(gain.sum() / spread) if spread > 0 else 0.0
     ratio = most_likely.level[together] / given.level[together]
@@ -242,14 +240,7 @@ def _judge(
         rows = np.vander(np.array([below, at, above]) - at, 3)
         second, first, _ = np.linalg.solve(rows, every[best - 1 : best + 2, together])
         curvature = 2 * second.sum()
-        slopes = _sum_blocks(first, block[together])
+        slopes = summed_by_block(first[:, None], block[together])
         if curvature > 0:
             stderr = float(np.sqrt(np.sum((slopes - slopes.mean()) ** 2)) / curvature)
     return FovFit(angles[best], stderr, float(np.median(ratio)), better)
-
-
-def _sum_blocks(
-    values: Float[np.ndarray, " pixels"], block: Int[np.ndarray, " pixels"]
-) -> Float[np.ndarray, " blocks"]:
-    _, number = np.unique(block, return_inverse=True)
-    return np.bincount(number, values)

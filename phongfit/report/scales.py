@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from phongfit.maps.pixel.flags import Flag
+from phongfit.maps.pixel.settings import Flag
 from phongfit.maps.result import Maps
 from phongfit.report.pictures import displayed
 from phongfit.report.style import (

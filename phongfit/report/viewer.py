@@ -23,7 +23,7 @@ from phongfit.edge import checked
 from phongfit.files.formats import data_uri, encode_webp
 from phongfit.files.outputs import replacing
 from phongfit.geometry.height import HeightField
-from phongfit.maps.pixel.flags import Flag
+from phongfit.maps.pixel.settings import Flag
 from phongfit.maps.result import Maps
 from phongfit.reflectance import AbstractSpecular, BlinnPhong, Phong
 from phongfit.rendering.film import encode

@@ -54,7 +54,7 @@ def fit(scenes=None, images=IMAGES, **options):
         ({"noise": 1e-320}, "noise: expected .*, got 1e-320"),
         ({"mask": np.full((4, 6), np.nan)}, "mask: expected true or false, got NaN"),
         ({"mask": np.ma.ones((4, 6))}, "mask: expected an array without a mask"),
-        ({"noise": "much"}, "noise: expected .*, got 'much'"),
+        ({"noise": "much"}, "noise: expected numbers of .*, got <U4"),
         ({"noise": np.ones(3)}, "noise: expected 5, one an image, got 3"),
         ({"noise": np.ones((6, 4))}, r"noise: expected .*, got \(6, 4\)"),
         ({"noise": np.zeros((4, 6))}, "noise: expected finite numbers > 0"),

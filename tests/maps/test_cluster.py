@@ -23,7 +23,7 @@ from phongfit.files.zarrs import erase
 from phongfit.maps import blocks
 from phongfit.maps.blocks import block_size
 from phongfit.maps.cluster import dask_client, fit_stored_maps
-from phongfit.maps.pixel.tile import BLOCK
+from phongfit.maps.pixel.block import BLOCK
 from tests.maps.synthetic import Stack, make_stack, same
 
 pytestmark = [

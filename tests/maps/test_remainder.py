@@ -9,7 +9,7 @@ import pytest
 import phongfit as pf
 from data_synth.lights import spread_directions
 from phongfit.geometry.planes import plane_before
-from phongfit.maps.remainder import NUGGET, WIDTHS, find_remainder
+from phongfit.maps.relighting import NUGGET, WIDTHS, find_remainder
 from phongfit.maps.stacks import as_stack
 from tests.maps.hills import CAMERA, SIZE, made
 

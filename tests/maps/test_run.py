@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from phongfit.maps.pixel.flags import Flag
+from phongfit.maps.pixel.settings import Flag
 from tests.maps.synthetic import Stack, dtype, make_stack, pulls
 
 PARAMETERS = ("ambient", "diffuse", "specular", "shininess")

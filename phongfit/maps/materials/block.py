@@ -6,17 +6,20 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from phongfit.maps.materials.bases import Bases, as_known, everything, held, sought
-from phongfit.maps.materials.reduced import reduce, take_apart
-from phongfit.maps.pixel.block import judged, samples_of
-from phongfit.maps.pixel.flags import Flag
-from phongfit.maps.pixel.pixel import Outside, PixelFit
-from phongfit.maps.pixel.samples import Samples, Tile
+from phongfit.maps.materials.bases import (
+    Bases,
+    as_known,
+    everything,
+    held,
+    reduce,
+    sought,
+)
+from phongfit.maps.pixel.block import in_two_passes, judged, samples_of
+from phongfit.maps.pixel.samples import Outside, PixelFit, Samples, Tile
 from phongfit.maps.pixel.search import SearchResult, search
-from phongfit.maps.pixel.settings import MapSettings
+from phongfit.maps.pixel.settings import Flag, MapSettings
 from phongfit.maps.pixel.step import edges_of, free_to_move
 from phongfit.maps.pixel.sums import gather
-from phongfit.maps.pixel.tile import in_two_passes
 
 # Least probability of a material at which a pixel is identified as being of it.
 TOLD = 0.95
@@ -95,12 +98,8 @@ def _inherited(
 ) -> tuple[PixelFit, Float[Array, " pixels"]]:
     """Add the material's errors to a pixel's, and return the normal's `log_det`."""
     mine, point = sought(settings), found.point
-    parts = take_apart(
-        gather(point, samples, found.scale, settings, everything(settings))
-    )
-    edges = edges_of(settings, mine)
-    free = free_to_move(point, parts.pixel, mine, edges)
-    reduced = reduce(parts, free)
+    sums = gather(point, samples, found.scale, settings, everything(settings))
+    reduced = reduce(sums, free_to_move(point, sums, mine, edges_of(settings, mine)))
     finite = jnp.where(jnp.isfinite(covariance), covariance, 0)
 
     def through(responses: list[Array]) -> Array:

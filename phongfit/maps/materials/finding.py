@@ -1,23 +1,22 @@
 """Estimates of an object's materials from a sample of its pixels."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
 from phongfit.maps.materials.bases import Bases, alone, size_of
 from phongfit.maps.materials.grouping import Table, group
-from phongfit.maps.materials.looks import Alone, Look, fit_alone, fit_row, look_at
+from phongfit.maps.materials.looks import Alone, fit_alone, fit_row, look_at
 from phongfit.maps.materials.mixture import Mixture, Told, maximize
-from phongfit.maps.pixel.pixel import Outside
-from phongfit.maps.pixel.samples import Tile
+from phongfit.maps.pixel.samples import Outside, Tile
 from phongfit.maps.pixel.scale import most_by_chance
-from phongfit.maps.pixel.settings import MOST_MATERIALS, MapSettings
-from phongfit.maps.pixel.tile import BLOCK
-from phongfit.maps.pixel.unknowns import Point
+from phongfit.maps.pixel.settings import MOST_MATERIALS, MapSettings, Point
+from phongfit.maps.result import BasisMaterials
 
 # Number of pixels of a sample times number of images, and limits of the former.
 LIGHT = 2**17
@@ -38,7 +37,27 @@ class Materials(NamedTuple):
 
     bases: Bases
     criterion: Float[np.ndarray, " tried"]
-    sample: Int[np.ndarray, ""]
+    sample: int
+
+    def basis(
+        self, settings: MapSettings, weights: Float[np.ndarray, "height width k"]
+    ) -> BasisMaterials:
+        """The materials of maps, with the probability of each in each pixel."""
+        values = np.asarray(self.bases.values, float)
+        variances = np.diagonal(np.asarray(self.bases.covariance, float), 0, 1, 2)
+        errors, shape = np.sqrt(variances), (len(values), 3)
+        shininess = np.exp(values[:, 0])
+        gap = np.abs(values[:, :1] - np.array(settings.log_bounds)).min(axis=1)
+        return BasisMaterials(
+            specular=np.broadcast_to(values[:, 1:], shape).copy(),
+            shininess=shininess,
+            stderr_specular=np.broadcast_to(errors[:, 1:], shape).copy(),
+            stderr_shininess=shininess * errors[:, 0],
+            at_bound=gap < 1e-5,
+            weights=weights,
+            criterion=self.criterion,
+            sample=self.sample,
+        )
 
 
 def choose_sample(pixels: Int[np.ndarray, " n"], images: int) -> np.ndarray:
@@ -51,7 +70,7 @@ def choose_sample(pixels: Int[np.ndarray, " n"], images: int) -> np.ndarray:
 
 
 def find_materials(
-    tile: Tile,
+    blocks: Sequence[Tile],
     pixels: int,
     outside: Outside,
     settings: MapSettings,
@@ -61,12 +80,12 @@ def find_materials(
 
     **Arguments:**
 
-    - `tile`: the sample; `pixels`: their number without padding.
+    - `blocks`: the sample; `pixels`: their number without padding.
     - `workers`: threads that work on blocks in parallel.
 
     **Raises:** `ValueError` if no pixel of the sample can be used.
     """
-    sample = _Sample(tile, pixels, outside, alone(settings), workers)
+    sample = _Sample(blocks, pixels, outside, alone(settings), workers)
     table = sample.table()
     wanted = settings.materials
     most = MOST_MATERIALS if wanted == "auto" else int(wanted or 1)
@@ -91,7 +110,7 @@ def find_materials(
     return Materials(
         Bases(*(jnp.asarray(part, dtype) for part in (*bases, sample.noise))),
         criterion,
-        np.asarray(sample.pixels),
+        sample.pixels,
     )
 
 
@@ -100,7 +119,7 @@ class _Sample:
 
     def __init__(
         self,
-        tile: Tile,
+        blocks: Sequence[Tile],
         pixels: int,
         outside: Outside,
         settings: MapSettings,
@@ -112,7 +131,7 @@ class _Sample:
         def fit(part: Tile) -> Alone:
             return fit_alone(part, outside, settings)
 
-        self._blocks = list(workers.map(fit, tile.parts(BLOCK)))
+        self._blocks = list(workers.map(fit, blocks))
         sound = np.concatenate([np.asarray(block.sound) for block in self._blocks])
         sound &= np.arange(len(sound)) < pixels
         if not sound.any():
@@ -138,32 +157,41 @@ class _Sample:
         self._scales = np.split(scale.astype(level.dtype), len(self._blocks))
         self._rows: list[list[Point]] = []
 
+    def _fit(
+        self, program: Callable[..., Any], starts: list[Point], *args: Any
+    ) -> tuple[list[Point], Any]:
+        """Fit all blocks in parallel.
+
+        **Returns:** the points of each block, and the result with its other arrays
+        joined, pixels first, without unusable pixels.
+        """
+
+        def one(number: int) -> Any:
+            block, scale = self._blocks[number], self._scales[number]
+            start, settings = starts[number], self._settings
+            return program(block.samples, start, scale, *args, settings=settings)
+
+        def joined(*parts: Any) -> np.ndarray:
+            whole = np.concatenate([np.asarray(p, float) for p in parts], axis=-1)
+            return np.moveaxis(whole[..., self._sound], -1, 0)
+
+        found = list(self._workers.map(one, range(len(self._blocks))))
+        points = [block.point for block in found]
+        rest = [block._replace(point=None) for block in found]
+        return points, jax.tree.map(joined, *rest)
+
     def table(self) -> Table:
         """Costs of all pixels at a series of exponents."""
         low, high = self._settings.log_bounds
         first = max(low, min(np.log(BROADEST), high))
         exponents = np.linspace(first, high, EXPONENTS if high > first else 1)
-        rows = []
-        for t in exponents:
-
-            def row(number: int, t: float = float(t)):
-                block = self._blocks[number]
-                return fit_row(
-                    block.samples,
-                    block.point,
-                    self._scales[number],
-                    jnp.asarray(t, block.level.dtype),
-                    self._settings,
-                )
-
-            rows.append(list(self._workers.map(row, range(len(self._blocks)))))
-        self._rows = [[block.point for block in row] for row in rows]
+        alone = [block.point for block in self._blocks]
+        dtype = self._blocks[0].level.dtype
+        fits = [self._fit(fit_row, alone, jnp.asarray(t, dtype)) for t in exponents]
+        self._rows = [points for points, _ in fits]
         names = ("cost", "strength", "curvature")
-        cost, strength, curvature = (
-            np.stack([self._joined(getattr(b, name) for b in row) for row in rows])
-            for name in names
-        )
-        return Table(exponents, cost, strength, curvature)
+        arrays = (np.stack([getattr(row, name) for _, row in fits]) for name in names)
+        return Table(exponents, *arrays)
 
     def maximize(self, values: np.ndarray, rows: np.ndarray) -> Mixture:
         """The best materials from start values, which are near rows of the table."""
@@ -184,31 +212,13 @@ class _Sample:
         **Arguments:** `starts`: start points for each material and block.
         """
 
-        def look(material: int, values: np.ndarray) -> Told:
-            def one(number: int) -> Look:
-                block = self._blocks[number]
-                return look_at(
-                    block.samples,
-                    starts[material][number],
-                    self._scales[number],
-                    jnp.asarray(values, block.level.dtype),
-                    self._known,
-                    self._settings,
-                )
+        dtype = self._blocks[0].level.dtype
 
-            found = list(self._workers.map(one, range(len(self._blocks))))
-            starts[material] = [block.point for block in found]
-            kept, steep = (
-                self._joined(getattr(block, name) for block in found).sum()
-                for name in ("kept", "steepness")
-            )
-            return Told(
-                self._joined(block.cost for block in found),
-                self._joined(block.log_det for block in found),
-                self._joined(block.pull for block in found),
-                self._joined(block.curvature for block in found),
-                max(float(steep / kept), 0.1),
-            )
+        def look(material: int, values: np.ndarray) -> Told:
+            given = jnp.asarray(values, dtype), self._known
+            starts[material], seen = self._fit(look_at, starts[material], *given)
+            steepness = max(float(seen.steepness.sum() / seen.kept.sum()), 0.1)
+            return Told(seen.cost, seen.log_det, seen.pull, seen.curvature, steepness)
 
         return look
 
@@ -218,8 +228,3 @@ class _Sample:
         nothing = np.zeros(values.shape[1])
         look = self._look([list(self._rows[0])])
         return maximize(values, look, (nothing, nothing), free=0).criterion
-
-    def _joined(self, parts: Iterable[Any]) -> np.ndarray:
-        """Arrays of all blocks joined, pixels first, without unusable pixels."""
-        whole = np.concatenate([np.asarray(part, float) for part in parts], axis=-1)
-        return np.moveaxis(whole[..., self._sound], -1, 0)

@@ -9,15 +9,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from phongfit.fitting.problem.losses import AbstractLoss
-from phongfit.maps.materials.bases import as_known, everything, held, sought
-from phongfit.maps.materials.reduced import reduce, take_apart, turns
+from phongfit.maps.materials.bases import as_known, everything, held, reduce, sought
 from phongfit.maps.pixel.block import samples_of
-from phongfit.maps.pixel.pixel import Known, Outside
-from phongfit.maps.pixel.robust import loss_weights
-from phongfit.maps.pixel.samples import Samples, Tile
-from phongfit.maps.pixel.scale import count_used, final_scale
+from phongfit.maps.pixel.samples import Known, Outside, Samples, Tile
+from phongfit.maps.pixel.scale import count_used, final_scale, loss_weights
 from phongfit.maps.pixel.search import descend, search
-from phongfit.maps.pixel.settings import MapSettings
+from phongfit.maps.pixel.settings import MapSettings, Point, unknowns_of
 from phongfit.maps.pixel.small import KEEP_BARRIERS, curvatures
 from phongfit.maps.pixel.step import (
     Move,
@@ -27,7 +24,6 @@ from phongfit.maps.pixel.step import (
     reduce_sums,
 )
 from phongfit.maps.pixel.sums import gather, residuals
-from phongfit.maps.pixel.unknowns import Point, unknowns_of
 
 # Maximum number of evaluated points from a start nearby, and limits of convergence.
 STEPS = 12
@@ -132,13 +128,10 @@ def look_at(
     )
     end = descend(begin, samples, scale, STEPS, FINE, held(settings), mine)
     sums = gather(end.point, samples, scale, settings, which)
-    parts = take_apart(sums)
-    edges = edges_of(settings, mine)
-    free = free_to_move(end.point, parts.pixel, mine, edges)
-    reduced = reduce(parts, free)
-    bent = _bent(end.point, turns(parts.pixel, free), samples, settings)
-    aside = gather(end.point, bent, scale, settings, which)
-    more = reduce(take_apart(aside), free).pull
+    free = free_to_move(end.point, sums, mine, edges_of(settings, mine))
+    reduced = reduce(sums, free)
+    bent = _bent(end.point, reduced.turns, samples, settings)
+    more = reduce(gather(end.point, bent, scale, settings, which), free).pull
     left = residuals(end.point, samples, settings, mine) / scale[None, None]
     used = samples.share > 0
     _, slope = settings.loss.score(left)

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import block_diag
 
 from phongfit.fitting.uncertainty.identifiability import SEEN, stands_out
 
@@ -147,21 +148,13 @@ def _covariance(
     highlight is not significant.
     """
     count, unknowns = len(told), told[0].pull.shape[1]
-    size = count * unknowns
-    information = np.zeros((size, size))
-    scores = np.concatenate(
-        [odds[k][:, None] * one.pull for k, one in enumerate(told)], axis=1
-    )
-    for k, one in enumerate(told):
-        part = slice(k * unknowns, (k + 1) * unknowns)
-        block = one.steepness * _summed(odds[k], one)
-        lost = np.einsum("p,pi,pj->ij", odds[k], one.pull, one.pull)
-        information[part, part] = block - lost
+    each = list(zip(odds, told, strict=True))
+    scores = np.concatenate([o[:, None] * one.pull for o, one in each], axis=1)
     spread = scores.T @ scores
-    information += spread
-    alone = np.concatenate(
-        [np.diag(one.steepness * _summed(odds[k], one)) for k, one in enumerate(told)]
-    )
+    blocks = [one.steepness * _summed(o, one) for o, one in each]
+    lost = [np.einsum("p,pi,pj->ij", o, one.pull, one.pull) for o, one in each]
+    information = block_diag(*np.subtract(blocks, lost)) + spread
+    alone = np.concatenate([np.diag(block) for block in blocks])
     seen = alone > 0
     seen[::unknowns] &= alone[::unknowns] > 1 / LOST**2
     root = np.sqrt(np.where(seen, alone, 1))
@@ -169,14 +162,8 @@ def _covariance(
     inverse = np.linalg.pinv(inner, rcond=1e-6, hermitian=True)
     inverse = inverse / np.outer(root, root)
     covariance = inverse @ spread @ inverse
-    blocks = np.stack(
-        [
-            covariance[k * unknowns : (k + 1) * unknowns][
-                :, k * unknowns : (k + 1) * unknowns
-            ]
-            for k in range(count)
-        ]
-    )
+    own = range(count)
+    blocks = covariance.reshape(count, unknowns, count, unknowns)[own, :, own]
     hidden = ~seen.reshape(count, unknowns)
     hidden[:, 0] |= [
         not stands_out(own[1:], block[1:, 1:], SEEN, chosen=1)

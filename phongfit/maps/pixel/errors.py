@@ -8,8 +8,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from phongfit.fitting.uncertainty.identifiability import SEEN
-from phongfit.maps.pixel.lamps import facing
+from phongfit.maps.pixel.lighting import facing
 from phongfit.maps.pixel.samples import Samples
+from phongfit.maps.pixel.settings import Point, Unknowns
 from phongfit.maps.pixel.small import (
     Numbers,
     Triangle,
@@ -20,7 +21,6 @@ from phongfit.maps.pixel.small import (
 )
 from phongfit.maps.pixel.step import Edges, Free, reduce_sums
 from phongfit.maps.pixel.sums import Sums
-from phongfit.maps.pixel.unknowns import Point, Unknowns
 
 # Largest error of an identified normal, in degrees: the model is not linear beyond.
 WIDEST = 20.0
@@ -147,11 +147,7 @@ def standard_errors(
 
         def widened() -> tuple[_Widths, Array]:
             profile = follow(tried, wanted)
-            wide = _widened(point, profile, widths, sigma, which, edges)
-            wide = _where(vague, wide, widths)
-            if not which.normal:
-                wider = _widened_anywhere(point, profile, wide, sigma, which)
-                wide = _where(unclear, wider, wide)
+            wide = _widened(point, profile, widths, sigma, vague, unclear, which, edges)
             return wide, profile.settled | ~vague
 
         widths, settled = jax.lax.cond(
@@ -213,69 +209,47 @@ def _widened(
     profile: Profile,
     widths: _Widths,
     sigma: Array,
+    vague: Array,
+    unclear: Array,
     which: Unknowns,
     edges: Edges,
 ) -> _Widths:
-    """Widen errors to those of a profile: its distance over the root of its rise."""
-    rises = jnp.maximum(profile.rises, 0) / sigma[None] ** 2
-    for side, rise in enumerate(rises[:2]):
-        there = Point(*(leaf[side] for leaf in profile.points))
-        # A rise below a tenth of the expected one is clipped; f is then open-ended.
-        share = 1 / jnp.sqrt(jnp.maximum(rise, FAR**2 / 10))
-        turned = point.normal - there.normal
-        turn = jnp.rad2deg(jnp.sqrt(jnp.sum(turned**2, axis=0)))
-        own = tuple(
-            jnp.maximum(error, share[None] * abs(getattr(there, name) - here))
-            for name, error, here in zip(
-                which.own,
-                widths.own,
-                [getattr(point, name) for name in which.own],
-                strict=True,
-            )
-        )
-        off = jnp.exp(there.log_exponent) - jnp.exp(point.log_exponent)
-        low, high = edges.log_exponent
-        at_end = (there.log_exponent <= low) | (there.log_exponent >= high)
-        widths = _Widths(
-            jnp.maximum(widths.normal, turn * share),
-            own,
-            jnp.maximum(
-                widths.specular,
-                jnp.abs(there.specular[0] - point.specular[0]) * share,
-            )
-            if which.one_specular
-            else widths.specular,
-            jnp.maximum(widths.exponent, jnp.abs(off) * share),
-            widths.open_ended | (at_end & (rise < FAR**2)) | (rise < FAR**2 / 10),
-        )
-    return widths
+    """Widen errors to those of a profile: its distance over the root of its rise.
 
-
-def _widened_anywhere(
-    point: Point, profile: Profile, widths: _Widths, sigma: Array, which: Unknowns
-) -> _Widths:
-    """Widen errors of reflectances to all exponents that the data allow."""
+    **Arguments:** `vague`: pixels in which the two nearest exponents count; `unclear`:
+    those in which all that the data allow count, for reflectances.
+    """
     rises = jnp.maximum(profile.rises, 0) / sigma[None] ** 2
+    # A rise below a tenth of the expected one is clipped; f is then open-ended.
     share = 1 / jnp.sqrt(jnp.maximum(rises, FAR**2 / 10))
-    share = jnp.where(rises < FAR**2, share, 0)[:, None]
+    beside = jnp.where(vague[None], share[:2], 0)
+    allowed = jnp.where(unclear[None] & (rises < FAR**2), share, 0)
+    shares = jnp.concatenate([jnp.maximum(beside, allowed[:2]), allowed[2:]])
+    if which.normal:
+        shares = beside
+
+    def most(off: Array, shares: Array) -> Array:
+        return jnp.max(jnp.where(shares > 0, off * shares, 0), axis=0)
 
     def widest(name: str) -> Array:
         off = jnp.abs(getattr(profile.points, name) - getattr(point, name)[None])
-        return jnp.max(off * share, axis=0)
+        return most(off, shares[:, None])
 
     own = zip(which.own, widths.own, strict=True)
-    own = tuple(jnp.maximum(error, widest(name)) for name, error in own)
-    specular = widths.specular
-    if which.one_specular:
-        specular = jnp.maximum(specular, widest("specular")[0])
-    return widths._replace(own=own, specular=specular)
-
-
-def _where(where: Array, yes: _Widths, no: _Widths) -> _Widths:
-    def choose(a: Array, b: Array) -> Array:
-        return jnp.where(where.reshape((1,) * (a.ndim - 1) + where.shape), a, b)
-
-    return jax.tree.map(choose, yes, no)
+    turned = jnp.sum((profile.points.normal[:2] - point.normal[None]) ** 2, axis=1)
+    there, (low, high) = profile.points.log_exponent[:2], edges.log_exponent
+    off = jnp.abs(jnp.exp(there) - jnp.exp(point.log_exponent)[None])
+    ends = ((there <= low) | (there >= high)) & (rises[:2] < FAR**2)
+    flat = jnp.any(ends | (rises[:2] < FAR**2 / 10), axis=0)
+    return _Widths(
+        jnp.maximum(widths.normal, most(jnp.rad2deg(jnp.sqrt(turned)), beside)),
+        tuple(jnp.maximum(error, widest(name)) for name, error in own),
+        jnp.maximum(widths.specular, widest("specular")[0])
+        if which.one_specular
+        else widths.specular,
+        jnp.maximum(widths.exponent, most(off, beside)),
+        vague & flat,
+    )
 
 
 def _all(sums: Sums) -> Free:

@@ -1,4 +1,4 @@
-"""Measured samples of pixels under many lights, and the light that arrives there.
+"""Measured samples of pixels under many lights, and results of their fits.
 
 Pixels are the last axis.
 """
@@ -8,11 +8,9 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
-from phongfit.maps.pixel.lamps import Lamps, make_lamps
-from phongfit.maps.pixel.lighting import Lighting
+from phongfit.maps.pixel.lighting import Lamps, Lighting, make_lamps
 from phongfit.maps.pixel.settings import MapSettings
 
 
@@ -28,8 +26,6 @@ class Tile(NamedTuple):
     - `visibility`: (images, lobes, pixels), or `None` without shadows.
     - `table`: (levels,) or (images, levels), the light of each whole number; `None`
         if the target is light.
-
-    `target` and `used` are read without padding: see [`padded`][].
     """
 
     target: Shaped[Any, "images pixels 3"]
@@ -39,34 +35,6 @@ class Tile(NamedTuple):
     to_viewer: Float[Any, "some_pixels 3"]
     visibility: Any = None
     table: Any = None
-
-    def parts(self, size: int) -> "list[Tile]":
-        """The tile in parts of `size` pixels, without copies."""
-
-        def rows(table: Any, part: slice) -> Any:
-            return table if len(table) == 1 else table[part]
-
-        return [
-            Tile(
-                self.target[:, part],
-                self.used[:, part],
-                self.normal[part],
-                rows(self.position, part),
-                rows(self.to_viewer, part),
-                None if self.visibility is None else self.visibility[..., part],
-                self.table,
-            )
-            for start in range(0, len(self.normal), size)
-            for part in [slice(start, start + size)]
-        ]
-
-    def padded(self) -> "Tile":
-        """The tile with `target` and `used` padded with 0 to the length of `normal`."""
-        missing = len(self.normal) - self.target.shape[1]
-        pad = (0, 0), (0, missing), (0, 0)
-        return self._replace(
-            target=np.pad(self.target, pad), used=np.pad(self.used, pad)
-        )
 
     def rows(self, rows: Int[Array, " n"]) -> "Tile":
         """Some pixels of a tile of JAX arrays."""
@@ -145,3 +113,66 @@ def _light(
 def pixels_last(values: Shaped[Array, "*images pixels channels"]) -> Array:
     """Array of shape (…, channels, pixels), contiguous along the pixels."""
     return jnp.stack([values[..., k] for k in range(values.shape[-1])], axis=-2)
+
+
+class PixelFit(NamedTuple):
+    """Fits of pixels, which are the first axis.
+
+    - `ambient`, `diffuse`, `specular`: reflectances; `shininess`: exponents, one for
+        each channel or one for all.
+    - `stderr`: standard errors of these four by name, infinite if not identified and 0
+        if known.
+    - `noise`: root mean square of the residuals per degree of freedom, in linear light,
+        or in standard deviations of the samples.
+    - `samples`: number of samples in use.
+    - `flags`: bits of [`Flag`][].
+    - `normals`, `normals_stderr`: if fitted, unit vectors in world axes and their
+        errors in degrees.
+    - `weights`: if pixels share materials, probability of each material.
+    """
+
+    ambient: Float[Array, "pixels 3"]
+    diffuse: Float[Array, "pixels 3"]
+    specular: Float[Array, "pixels 3"]
+    shininess: Float[Array, "pixels exponents"]
+    stderr: dict[str, Array]
+    noise: Float[Array, " pixels"]
+    samples: Int[Array, " pixels"]
+    flags: Int[Array, " pixels"]
+    normals: Float[Array, "pixels 3"] | None = None
+    normals_stderr: Float[Array, " pixels"] | None = None
+    weights: Float[Array, "pixels materials"] | None = None
+
+    def arrays(self) -> dict[str, Array]:
+        """All arrays, by their names in files of maps."""
+        named: dict[str, Any] = self._asdict()
+        errors = {f"stderr_{name}": e for name, e in named.pop("stderr").items()}
+        return {name: a for name, a in named.items() if a is not None} | errors
+
+
+class Known(NamedTuple):
+    """Known parameters of the material, and the start value of the exponent.
+
+    (3,) each, and (1,) for a shared exponent.
+    """
+
+    ambient: Float[Array, "3"]
+    diffuse: Float[Array, "3"]
+    specular: Float[Array, "3"]
+    shininess: Float[Array, " exponents"]
+
+    def spread(self) -> "Known":
+        """The values with an axis along the pixels, of length 1."""
+        return Known(*(leaf[:, None] for leaf in self))
+
+
+class Outside(NamedTuple):
+    """Values that all pixels share: lights, known parameters, and the noise level.
+
+    `noise` is the standard deviation of a sample in linear light, 1 if
+    `settings.weighted`; not read if `settings.noise_given` is false.
+    """
+
+    lighting: Lighting
+    known: Known
+    noise: Float[Array, ""]

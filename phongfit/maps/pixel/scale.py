@@ -1,31 +1,69 @@
-"""The scale of residuals, and limits of what chance makes of it."""
+"""The scale of residuals, their weights under a robust loss, and limits of chance."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from phongfit.fitting.problem.losses import AbstractLoss
 from phongfit.fitting.uncertainty.misfit import SIGNIFICANT
-from phongfit.maps.pixel.robust import loss_weights
+
+
+def loss_weights(
+    loss: AbstractLoss, residual: Float[Array, "*batch"]
+) -> Float[Array, "*batch"]:
+    r"""Weights $\rho'(z)$ at $z = r^2$ of iteratively reweighted least squares.
+
+    **Arguments:** `residual`: in standard deviations.
+    """
+
+    def cost(z: Array) -> Array:
+        return z * loss.ratio(z)
+
+    z = jnp.maximum(residual**2, jnp.finfo(residual.dtype).eps)
+    _, slope = jax.jvp(cost, (z,), (jnp.ones_like(z),))
+    # Rounding can make the weight of a far outlier negative.
+    return jnp.maximum(slope, 0)
+
+
+def widening(
+    loss: AbstractLoss,
+    residual: Float[Array, "*batch"],
+    used: Bool[Array, "*batch"],
+    unknowns: int = 0,
+) -> Float[Array, ""]:
+    r"""Factor on standard errors by a loss: $K \sqrt{E\,\psi^2} / E\,\psi'$.
+
+    For n samples and p unknowns $E\,\psi^2$ is a sum divided by n - p, and
+    $K = 1 + \frac pn \operatorname{var} \psi' / (E\,\psi')^2$.
+
+    **Arguments:**
+
+    - `residual`: in standard deviations; `used`: which of them count.
+    - `unknowns`: p.
+
+    ??? cite "Source"
+        Huber, *Robust statistics*, 1981, section 7.6.
+    """
+    score, slope = loss.score(residual)
+    count = jnp.maximum(jnp.sum(used), 1).astype(residual.dtype)
+    freedom = jnp.maximum(count - unknowns, 1)
+    square = jnp.sum(jnp.where(used, score**2, 0)) / freedom
+    steepness = jnp.sum(jnp.where(used, slope, 0)) / count
+    spread = jnp.sum(jnp.where(used, (slope - steepness) ** 2, 0)) / count
+    # If nearly all samples are outliers, the loss is flat and the error infinite.
+    identified = steepness > 0.01
+    steepness = jnp.where(identified, steepness, 1)
+    more = 1 + unknowns / count * spread / steepness**2
+    return jnp.where(identified, more * jnp.sqrt(square) / steepness, jnp.inf)
+
 
 # A normal distribution's standard deviation over its median absolute value.
 NORMAL = 1.4826
 # Halvings in the search for a median: a relative precision of 2⁻¹² is enough.
 HALVINGS = 12
-# Degrees of freedom, and the t of Student that 95 % of the draws do not exceed.
-STUDENT = {
-    np.inf: 1.95996,
-    20: 2.08596,
-    10: 2.22814,
-    8: 2.30600,
-    6: 2.44691,
-    5: 2.57058,
-    4: 2.77645,
-    3: 3.18245,
-    2: 4.30265,
-    1: 12.7062,
-}
+# Degrees of freedom at which Student's t is tabulated.
+STUDENT = 1, 2, 3, 4, 5, 6, 8, 10, 20, np.inf
 
 
 def count_used(
@@ -109,10 +147,12 @@ def students_t(freedom: Array) -> Array:
     Student's t over the 1.96 of a normal distribution, interpolated between the entries
     of the table, where it is nearly linear in the inverse of the degrees of freedom.
     """
-    known = [1 / n for n in STUDENT]
-    factors = [t / STUDENT[np.inf] for t in STUDENT.values()]
+    from scipy import stats
+
+    known = np.array(STUDENT[::-1])
+    table = stats.t.ppf(0.975, known) / stats.norm.ppf(0.975)
     kind = freedom.dtype
-    return jnp.interp(1 / freedom, jnp.asarray(known, kind), jnp.asarray(factors, kind))
+    return jnp.interp(1 / freedom, jnp.asarray(1 / known, kind), table.astype(kind))
 
 
 def most_by_chance(freedom: Array) -> Array:

@@ -20,10 +20,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from phongfit.fitting.problem.losses import Linear
 from phongfit.maps.pixel.errors import Profile
-from phongfit.maps.pixel.pixel import Known
-from phongfit.maps.pixel.samples import Samples
+from phongfit.maps.pixel.samples import Known, Samples
 from phongfit.maps.pixel.scale import count_used, median_scale
-from phongfit.maps.pixel.settings import MapSettings
+from phongfit.maps.pixel.settings import MapSettings, Point, Unknowns
 from phongfit.maps.pixel.starts import greyed, make_starts
 from phongfit.maps.pixel.step import (
     Move,
@@ -37,7 +36,6 @@ from phongfit.maps.pixel.step import (
     steadied,
 )
 from phongfit.maps.pixel.sums import Sums, gather, no_sums, residuals
-from phongfit.maps.pixel.unknowns import Point, Unknowns
 
 # Start exponents: of a broad and of a sharp highlight.
 BROAD, SHARP = 8.0, 50.0

@@ -7,12 +7,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from phongfit.fitting.problem.losses import Cauchy
-from phongfit.maps.pixel.lamps import facing, grey
-from phongfit.maps.pixel.robust import loss_weights
+from phongfit.maps.pixel.lighting import facing, grey
 from phongfit.maps.pixel.samples import Samples
-from phongfit.maps.pixel.scale import median_scale
+from phongfit.maps.pixel.scale import loss_weights, median_scale
+from phongfit.maps.pixel.settings import turned_to, unit
 from phongfit.maps.pixel.small import Numbers, Triangle, factorize, solve
-from phongfit.maps.pixel.unknowns import turned_to, unit
 
 # Rounds of reweighting of a matte surface.
 ROUNDS = 5

@@ -9,7 +9,13 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from phongfit.maps.pixel.settings import MapSettings
+from phongfit.maps.pixel.settings import (
+    MapSettings,
+    Point,
+    Unknowns,
+    tangents,
+    turned_to,
+)
 from phongfit.maps.pixel.small import (
     Factors,
     Numbers,
@@ -23,7 +29,6 @@ from phongfit.maps.pixel.small import (
     times,
 )
 from phongfit.maps.pixel.sums import Sums, over_channels
-from phongfit.maps.pixel.unknowns import Point, Unknowns, tangents, turned_to
 
 # Longest steps: of the normal in radians, and of log f.
 FARTHEST = 0.3

@@ -10,17 +10,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
-from phongfit.maps.pixel.lamps import Lamps, at_pixels
+from phongfit.maps.pixel.lighting import Lamps, at_pixels
 from phongfit.maps.pixel.lobes import Lobe
-from phongfit.maps.pixel.robust import loss_weights
 from phongfit.maps.pixel.samples import Samples
-from phongfit.maps.pixel.settings import MapSettings
+from phongfit.maps.pixel.scale import loss_weights
+from phongfit.maps.pixel.settings import MapSettings, Point, Unknowns, tangents
 from phongfit.maps.pixel.small import (
     Numbers,
     Triangle,
     optimization_barrier,
 )
-from phongfit.maps.pixel.unknowns import Point, Unknowns, tangents
 from phongfit.reflectance import AbstractSpecular
 from phongfit.vectors import Scalar, Vec3, dot
 

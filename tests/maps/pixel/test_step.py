@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from phongfit.maps.pixel.settings import MapSettings
+from phongfit.maps.pixel.settings import MapSettings, Point, unknowns_of
 from phongfit.maps.pixel.step import (
     Free,
     Move,
@@ -18,7 +18,6 @@ from phongfit.maps.pixel.step import (
     steadied,
 )
 from phongfit.maps.pixel.sums import Sums
-from phongfit.maps.pixel.unknowns import Point, unknowns_of
 from tests.maps.synthetic import dtype
 
 SETTINGS = MapSettings(names=("diffuse", "specular", "shininess"), normals="fit")

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 import phongfit as pf
-from phongfit.maps.pixel.lamps import make_lamps
-from phongfit.maps.pixel.lighting import make_lighting
+from phongfit.maps.pixel.lighting import make_lamps, make_lighting
 from phongfit.maps.pixel.samples import Samples
-from phongfit.maps.pixel.settings import MapSettings
+from phongfit.maps.pixel.settings import MapSettings, Point, tangents, unknowns_of
 from phongfit.maps.pixel.sums import gather
-from phongfit.maps.pixel.unknowns import Point, tangents, unknowns_of
 from tests.maps.synthetic import dtype
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from phongfit.fitting.problem.losses import LOSSES, Huber, Linear
 from phongfit.fitting.problem.noise import median_deviation
-from phongfit.maps.pixel.robust import loss_weights, widening
+from phongfit.maps.pixel.scale import loss_weights, widening
 from tests.helpers import floats
 
 WIDENING = jax.jit(widening, static_argnums=0)

@@ -8,8 +8,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LogNorm
 
 import phongfit as pf
+from phongfit.maps.export import filled_in, texture_maps
 from phongfit.maps.result import MAP_PARAMETERS, Maps, ParameterMaps
-from phongfit.maps.textures import filled_in, texture_maps
 from phongfit.report.scales import draw_flags, draw_parameter
 
 SIZE = (2, 3)

@@ -4,8 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from phongfit.maps.pixel.block import BLOCK, in_two_passes
 from phongfit.maps.pixel.samples import Tile
-from phongfit.maps.pixel.tile import BLOCK, in_two_passes
 from tests.helpers import floats
 
 BLOCKS = 8
