@@ -6,7 +6,7 @@ import pytest
 
 import phongfit as pf
 from phongfit.files.outputs import write_json
-from phongfit.fitting.solve import minimum, search
+from phongfit.fitting.solve import search, start
 from tests.fitting import canonical
 from tests.fitting.canonical import NOISE, pulls
 from tests.fitting.scenes import SIZE, as_vector, ball, photograph, truth
@@ -125,7 +125,7 @@ def test_of_many_samples_a_few_come_first(monkeypatch):
     monkeypatch.setattr(search, "_settle", counted)
     at_once = pf.fit(SCENE, NOISY)
     assert len(passes) == 1
-    monkeypatch.setattr(minimum, "SUBSET", 512)
+    monkeypatch.setattr(start, "SUBSET", 512)
     monkeypatch.setattr(search, "MANY", 512)
     after_a_few = pf.fit(SCENE, NOISY)
     assert passes == [passes[0], 512, passes[0]] and passes[0] > 512

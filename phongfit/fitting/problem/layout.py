@@ -364,7 +364,7 @@ def _boxes(
             raise ValueError(f"bounds: {name}: a direction has none")
         for entry in entries[is_fixed[entries]]:
             raise ValueError(f"bounds: {names.table.label[entry]} is fixed")
-        low[entries], high[entries] = _box(name, box, names.table.form[entries[0]])
+        low[entries], high[entries] = _box(name, box, str(names.table.form[entries[0]]))
     return low, high
 
 

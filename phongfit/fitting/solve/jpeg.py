@@ -226,11 +226,11 @@ def _surroundings(
 def _blurred(image: np.ndarray) -> np.ndarray:
     """Means over a triangular window."""
     # Imported here, since SciPy takes long to import and few fits need it.
-    from scipy.ndimage import uniform_filter
+    from scipy.ndimage import uniform_filter1d
 
-    size = (AROUND + 1, AROUND + 1, 1)
-    once = uniform_filter(image, size, mode="constant")
-    return uniform_filter(once, size, mode="constant")
+    for axis in (0, 0, 1, 1):
+        image = uniform_filter1d(image, AROUND + 1, axis, mode="constant")
+    return image
 
 
 def _in_blocks(
@@ -477,7 +477,7 @@ def _another(
 def _root(function: Callable[[float], float], scale: float) -> float:
     """Root of an increasing function of a variance; 0 if it is not negative at 0."""
     # Imported here, since SciPy takes long to import and few fits need it.
-    from scipy.optimize import brentq
+    from scipy.optimize import root_scalar
 
     if function(0.0) >= 0:
         return 0.0
@@ -486,4 +486,5 @@ def _root(function: Callable[[float], float], scale: float) -> float:
         high *= 4
         if high >= scale * 4**GROWN:
             return high
-    return float(brentq(function, 0.0, high, xtol=0.002 * high, rtol=0.01))
+    how = {"xtol": 0.002 * high, "rtol": 0.01}
+    return float(root_scalar(function, bracket=(0.0, high), **how).root)

@@ -10,13 +10,7 @@ from phongfit.fitting.solve.guesses import guess_places, look, moves_lights
 from phongfit.fitting.solve.jpeg import Drawn, restore
 from phongfit.fitting.solve.search import SearchResult, search
 from phongfit.fitting.solve.solution import polish
-from phongfit.fitting.solve.start import (
-    NEAR,
-    ROBUST_NEAR,
-    ROBUST_SUBSET,
-    SUBSET,
-    choose_few,
-)
+from phongfit.fitting.solve.start import choose_few
 
 
 class Minimum(NamedTuple):
@@ -37,13 +31,12 @@ def find_minimum(data: FitData) -> Minimum:
     """Minimise the cost of samples and priors."""
     unknowns, sources, asked = data.unknowns, data.sources, data.specification
     seen, loss = seen_pixels(sources), asked.loss
-    near, most = (ROBUST_NEAR, ROBUST_SUBSET) if loss.robust else (NEAR, SUBSET)
     guesses = bright = None
     if moves_lights(unknowns):
         looks = [look(*one) for one in zip(sources, seen, strict=True)]
         guesses = guess_places(unknowns, looks, sources)
         bright = [one.excess for one in looks]
-    few = choose_few(sources, seen, near, most, bright)
+    few = choose_few(sources, seen, loss.robust, bright)
     how = data.noise_given, asked.max_steps
     first = search(
         None if few is None else gather(sources, few),

@@ -32,8 +32,7 @@ NEAR, ROBUST_NEAR = 0.5, 0.25
 def choose_few(
     sources: list[Source],
     seen: list[np.ndarray],
-    near: float = NEAR,
-    most: int = SUBSET,
+    robust: bool = False,
     bright: Sequence[Float[np.ndarray, " pixels"]] | None = None,
 ) -> list[np.ndarray] | None:
     """One or two thousand samples: evenly spread ones, and those nearest to highlights.
@@ -43,13 +42,13 @@ def choose_few(
     **Arguments:**
 
     - `seen`: for each image the pixels that may be chosen.
-    - `near`: fraction of the samples that are nearest to highlights.
-    - `most`: number of samples in all.
+    - `robust`: whether the loss expects outliers.
     - `bright`: for each image a score of each pixel to show a highlight, if lights are
         unknown; default the nearness to the scene's highlights.
 
     **Returns:** for each image the chosen pixels; `None` if that would be all.
     """
+    near, most = (ROBUST_NEAR, ROBUST_SUBSET) if robust else (NEAR, SUBSET)
     if sum(map(len, seen)) <= most:
         return None
     share = max(most // len(sources), 32)

@@ -201,10 +201,10 @@ def film_response(
     ends: tuple[float, float] = (0.0, 0.0),
 ) -> Moments:
     """The film's response to light with noise of standard deviation `deviation`."""
-    if not clamp:
-        return unclipped_moments(light)
-    deviation = before_rounding(light, deviation, ends)
-    found = _clipped(jnp.asarray(light), jnp.asarray(deviation))
+    found = unclipped_moments(jnp.asarray(light))
+    if clamp:
+        deviation = before_rounding(light, deviation, ends)
+        found = _clipped(jnp.asarray(light), jnp.asarray(deviation))
     return jax.tree.map(lambda part: np.asarray(part, float), found)
 
 

@@ -102,7 +102,9 @@ def _descend(
     def apply(x: Array) -> Array:
         return by * _product(images, by * x, pairs)
 
-    return cg(apply, right, tol=tolerance, maxiter=STEPS)[0]
+    # JAX takes an array for the tolerance, although it asks for a float.
+    found, _ = cg(apply, right, tol=tolerance, maxiter=STEPS)  # pyright: ignore
+    return found
 
 
 def _product(images: tuple[Array, ...], x: Array, pairs: Pairs) -> Array:

@@ -438,10 +438,11 @@ def _judge(cells: _Cells) -> _Verdict:
     square = np.where(judged, total**2 / (variance + common), 0)
     # Noise that is larger in some cells than in others makes T² vary more.
     local = np.where(judged, np.maximum(squares / variance, 1), 0)
-    sums = np.stack([judged, square, local**2]).sum(axis=-1)
     highest = (square / np.maximum(local, 1)).max(axis=-1)
-    apart = _judge_sums(*sums[:, :3].sum(axis=1), highest[:3].max())
-    return max(apart, _judge_sums(*sums[:, 3], highest[3]))
+    count, whole, spread = (part.sum(axis=-1) for part in (judged, square, local**2))
+    apart = count[:3].sum(), whole[:3].sum(), spread[:3].sum(), highest[:3].max()
+    together = count[3], whole[3], spread[3], highest[3]
+    return max(_judge_sums(*apart), _judge_sums(*together))
 
 
 def _judge_sums(count: float, square: float, local: float, highest: float) -> _Verdict:
