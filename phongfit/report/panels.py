@@ -107,19 +107,19 @@ def profiles(fit: Fit, found: Diagnostics | None) -> tuple[list[Panel], str]:
         words = difference_words(fit, one)
         shown.append(_drawn(lambda axes, p=one: draw_profile(axes, fit, p), alt, words))
     free = fit.problem.unknowns.free_labels
-    left = sum(free.count(label) == 1 for label in free) - len(labels)
-    others = [label for label in free if label not in labels]
-    other = next((label for label in wanted if label in others), *others[:1] or wanted)
-    draws = f'In Python, fit.plot_profile("{other}") draws'
+    others = [label for label in wanted if label not in labels]
+    others += [x for x in free if free.count(x) == 1 and x not in labels]
+    if not others:
+        return shown, ""
+    about = f'In Python, fit.plot_profile("{others[0]}") draws that of another unknown.'
     if len(labels) < len(wanted):
-        counts = {0: "none is", 1: "one alone is", 2: "two alone are"}
-        return shown, (
-            f"A profile solves the fit of all {fit.n_samples:,} samples some twenty "
-            f"times more: {counts[len(labels)]} drawn here, to spare minutes. {draws} "
-            f"{'another' if labels else 'one'}. Where there is none, errors rest on "
-            "the curvature at the estimate alone."
+        about = (
+            f"{len(labels)} of {len(wanted)} are drawn, to spare minutes: a profile "
+            f"solves the fit of all {fit.n_samples:,} samples some twenty times more. "
+            f"{about} Without a profile, errors rest on the curvature at the estimate "
+            "alone."
         )
-    return shown, f"{draws} that of another unknown." if left > 0 else ""
+    return shown, about
 
 
 def correlations(fit: Fit) -> tuple[Panel | None, str]:
