@@ -119,8 +119,9 @@ class AbstractArrays(AbstractCodedStack):
         for row, k in enumerate(order):
             (numbers, table), used = self._images[k]
             numbers = gather(numbers, pixels)
-            stored = table is None or self._table is not None
-            taken[row] = numbers if stored else table[numbers]
+            if table is not None and self._table is None:
+                numbers = table[numbers]
+            taken[row] = numbers
             if used is not None:
                 used = used.reshape(*used.shape[:2], -1)
                 hidden[row] = ~gather(used, pixels)
