@@ -163,7 +163,6 @@ def _common_table(images: Sequence[Coded]) -> np.ndarray | None:
     return np.stack(tables) if kind.itemsize == 1 else None
 
 
-@final
 class ArrayStack(AbstractArrays):
     """Arrays, in memory or memory-mapped (`np.load(path, mmap_mode="r")`)."""
 
