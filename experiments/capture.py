@@ -25,6 +25,9 @@ BLOCK = re.compile(r"^```(python|sh)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 SHOWN = (2, 5, 8, 11)
 """Numbers of the photographs that are drawn, from 1 on."""
 
+WIDTH = 920
+"""Width of a picture, pixels: that of a page of the documentation, with some more."""
+
 
 def run_page(folder: Path) -> dict[str, Any]:
     """Run the page's code in a folder, and return the names that its Python defines.
@@ -53,21 +56,22 @@ def run_page(folder: Path) -> dict[str, Any]:
 def photographs(folder: Path) -> Image.Image:
     """A picture of some photographs: a row of the chrome ball above a row of the cat.
 
-    Brightened so that 99.9 % of the pixels are below white.
+    Each row is brightened so that 99.9 % of its pixels are below white.
 
-    **Arguments:** `folder`: with folders `chrome` and `cat` of photographs.
+    **Arguments:** `folder`: with folders `chrome` and `cat` of grey 8-bit files
+    `01.png`, ….
     """
     rows = []
-    # The ball's files are shown as they are; the cat's are linear, so they are encoded.
+    # The cat's files are linear, so they are encoded; the ball's are encoded already.
     for name, gamma in (("chrome", 1.0), ("cat", 2.2)):
         files = [folder / name / f"{number:02d}.png" for number in SHOWN]
         shown = [np.asarray(Image.open(file)) / 255 for file in files]
         bright = np.concatenate(shown, axis=1)
         bright = (bright / np.quantile(bright, 0.999)).clip(0, 1) ** (1 / gamma)
         picture = Image.fromarray(np.round(255 * bright).astype(np.uint8))
-        height = round(picture.height * 920 / picture.width)
-        rows.append(picture.resize((920, height), Image.Resampling.LANCZOS))
-    whole = Image.new("L", (920, sum(row.height for row in rows)))
+        height = round(picture.height * WIDTH / picture.width)
+        rows.append(picture.resize((WIDTH, height), Image.Resampling.LANCZOS))
+    whole = Image.new("L", (WIDTH, sum(row.height for row in rows)))
     top = 0
     for row in rows:
         whole.paste(row, (0, top))

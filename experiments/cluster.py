@@ -369,7 +369,10 @@ def measure_sizes(
             stack, output = make_stack(client, folder, *size, side), next(outputs)
             seconds = time_fit(client, stack, output)
             rows.append(
-                {"megapixels": pixels / 1e6, "microseconds": 1e6 * seconds / pixels}
+                {
+                    "megapixels": pixels / 1e6,
+                    "microseconds_per_pixel": 1e6 * seconds / pixels,
+                }
             )
             for path in (stack, output):
                 shutil.rmtree(path)
@@ -385,7 +388,10 @@ def warm_up(client: Any, folder: Path, output: Path, side: int) -> None:
 
 
 def show(numbers: dict[str, Any]) -> None:
-    """Print all numbers as one table, next to the aims."""
+    """Print the numbers that `main` saves as one table, next to the aims.
+
+    The keys of `seconds` and `cpu_seconds` are numbers of workers.
+    """
     scaling, deaths = numbers["scaling"], numbers["deaths"]
     table = Table("what", "measured", "aim")
     wall_1, wall_2 = scaling["seconds"][1], scaling["seconds"][2]
@@ -419,11 +425,12 @@ def show(numbers: dict[str, Any]) -> None:
     table.add_row(
         "the same bits as without kills", "yes" if deaths["same_bits"] else "no", "yes"
     )
-    fastest = min(row["microseconds"] for row in numbers["sizes"])
+    fastest = min(row["microseconds_per_pixel"] for row in numbers["sizes"])
     for row in numbers["sizes"]:
+        per_pixel = row["microseconds_per_pixel"]
         table.add_row(
-            f"{row['megapixels']:.1f} megapixels, µs per pixel",
-            f"{row['microseconds']:.1f} ({row['microseconds'] / fastest:.2f}×)",
+            f"{row['megapixels']:.1f} megapixels, µs per pixel (× the fastest)",
+            f"{per_pixel:.1f} ({per_pixel / fastest:.2f}×)",
             "≤ 1.5×",
         )
     Console().print(table)

@@ -92,7 +92,11 @@ def ball(size: int, **changes: Any) -> pf.Scene:
 
 
 def mistakes(size: int) -> list[Mistake]:
-    """All mistakes, and first a fit without one; images have `size` × `size` pixels."""
+    """All mistakes, and first a fit without one; images have `size` × `size` pixels.
+
+    Of each: its name, the scene that makes the image, the scene that is fitted, and
+    what changes the image.
+    """
     right = ball(size)
     coarse = ball(size, surface=unit_ball(12))
     pair = ball(
@@ -103,7 +107,7 @@ def mistakes(size: int) -> list[Mistake]:
     second = pf.DirectionalLight((-1.0, -0.4, 1.0), 0.15)
     # Both highlights are seen, and the two models shape them differently.
     lamps_far_apart = (*right.lights, pf.DirectionalLight((-1.0, -0.4, -0.2), 0.9))
-    turned = pf.DirectionalLight((1.0, 1.0, 1.7), 0.9)
+    lamp_off = pf.DirectionalLight((1.0, 1.0, 1.7), 0.9)
     bright, brighter = (pf.DirectionalLight(LAMP, x * 0.9) for x in (1.5, 1.1))
     return [
         Mistake("none", right, right),
@@ -125,7 +129,7 @@ def mistakes(size: int) -> list[Mistake]:
             dataclasses.replace(coarse, shading=pf.GouraudShading()),
         ),
         Mistake("lamp missing", ball(size, lights=(*right.lights, second)), right),
-        Mistake(f"lamp {angle(turned):.0f}° off", right, with_lamp(right, turned)),
+        Mistake(f"lamp {angle(lamp_off):.0f}° off", right, with_lamp(right, lamp_off)),
         Mistake(
             "lamp 10 % too bright",
             right,

@@ -94,10 +94,14 @@ def _run(args: list[str]) -> int | None:
     """Run a command and return its exit status; `None` stands for 0.
 
     `--max-memory` and `--version` are handled here.
+
+    **Raises:** `ValueError` for no command or an unknown one, and for wrong options.
     """
+    # This takes `--max-memory` out of `args`.
     with _memory(args):
         if args and args[0] in COMMANDS:
-            return _execute(_parse(_load(args[0]), args[1:], f"phongfit {args[0]}"))
+            command = _load(args[0])
+            return _execute(_parse(command, args[1:], f"phongfit {args[0]}"))
         if args == ["--version"]:
             print(f"phongfit {importlib.metadata.version('phongfit')}")
             return 0

@@ -36,9 +36,15 @@ class Stack:
 def make_stack(
     pixels: int, lights: int, *, folder: Path | None = None, seed: int = 0
 ) -> Stack:
-    """A stack of about `pixels` pixels.
+    """Images of random normals and materials, one of each in every pixel, with noise.
 
-    **Arguments:** `folder`: for a memory-mapped `stack.npy`; `None`: in memory.
+    They are made without phongfit's renderer, by `_light`; σ is `NOISE`.
+
+    **Arguments:**
+
+    - `pixels`: about as many; height and width are nearly the same.
+    - `lights`: number of images, each under a lamp of its own.
+    - `folder`: for a memory-mapped `stack.npy`; `None`: in memory.
     """
     rng = np.random.default_rng(seed)
     height = int(np.sqrt(pixels))
@@ -67,8 +73,9 @@ def make_stack(
     noise = rng.normal(0, NOISE, (height, width, 3)).astype(np.float32)
     for image, direction in zip(images, directions, strict=True):
         image[:] = _light(truth, normals, direction)
-        # One array of noise is shifted for each image: drawing it is the slowest step.
-        image += np.roll(noise, rng.integers(0, noise.size // 3), axis=(0, 1))
+        # Drawing noise is the slowest step, so all images have the same, shifted down
+        # and across by random numbers of pixels.
+        image += np.roll(noise, rng.integers((height, width)), axis=(0, 1))
     return Stack(scenes, images, truth, normals, directions)
 
 

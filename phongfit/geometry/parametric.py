@@ -77,20 +77,21 @@ def _grid(
 
     **Arguments:** `u`, `v`: (first, last) value; `columns`, `rows`: numbers of steps.
 
-    **Returns:** (rows + 1) · (columns + 1) vertices, row by row: u runs first.
+    **Returns:** (rows + 1) · (columns + 1) vertices, row by row, with u along a row.
     """
     us = jnp.linspace(u[0], u[1], columns + 1)
     vs = jnp.linspace(v[0], v[1], rows + 1)
     middle = (us[0] + us[-1]) / 2, (vs[0] + vs[-1]) / 2
 
     def point_and_normal(u: Scalar, v: Scalar) -> tuple[Vec3, Vec3]:
-        # At a pole the derivatives are parallel, so rounding would decide where the
-        # normal points. The normal of a point nearer to the middle is used instead.
-        small = np.sqrt(np.finfo(u.dtype).eps)
+        # At a pole a derivative vanishes, or both are parallel: rounding would decide
+        # where the normal points. The normal of a point a little nearer to the middle
+        # of the domain is used instead.
+        tolerance = step = np.sqrt(np.finfo(u.dtype).eps)
         along_u, along_v = jax.jacfwd(function, argnums=(0, 1))(u, v)
         area = norm(jnp.cross(along_u, along_v))
-        pole = area <= small * jnp.maximum(norm(along_u), norm(along_v)) ** 2
-        inward = jnp.where(pole, small, 0)
+        longer = jnp.maximum(norm(along_u), norm(along_v))
+        inward = jnp.where(area <= tolerance * longer**2, step, 0)
         inner_u, inner_v = u + inward * (middle[0] - u), v + inward * (middle[1] - v)
         return function(u, v), parametric_normal(function, inner_u, inner_v)
 

@@ -187,8 +187,9 @@ class Sphere(AbstractSurface):
         distance: Float[Array, "*batch"],
     ) -> Bool[Array, "*batch"]:
         del position
-        # A ray that enters the sphere at a point of it leaves it after 2 r |s·m|. A
-        # light up to there is inside the sphere, where nothing blocks it.
+        # From a point whose normal faces away from the light, the ray to the light
+        # first crosses the sphere: its chord is -2 r (normal · to_light) long. A light
+        # before the chord's end is inside the sphere, where nothing blocks it.
         chord = -2 * self.radius * jnp.sum(normal * to_light, axis=-1)
         return (chord <= 0) | (distance <= chord)
 

@@ -170,9 +170,10 @@ def _whole(name: str, given: Any) -> np.ndarray:
 
 
 def _as_pairs(given: Any) -> tuple[tuple[int, int], ...]:
+    """Sampling factors (across, down) of each component; () if all are (1, 1)."""
     if as_array("sampling", given).size == 0:
         return ()
-    pairs = as_integers("sampling", _whole("sampling", given), 1, 256)
+    pairs = as_integers("sampling", _whole("sampling", given), 1, 5)
     if pairs.shape[1:] != (2,):
         raise ValueError(f"sampling: expected pairs, got shape {pairs.shape}")
     return tuple(map(tuple, pairs.tolist()))

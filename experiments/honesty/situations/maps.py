@@ -186,7 +186,7 @@ def matte(rng: np.random.Generator, size: tuple[int, int]) -> pf.Material:
 def full_mask(
     images: Stack, rng: np.random.Generator
 ) -> tuple[Stack, Mapping[str, Any]]:
-    """Give a mask that is true for every sample."""
+    """Give a mask that is true for every sample: the programs of other masks serve."""
     del rng
     return images, {"mask": np.ones(images.shape[1:], bool)}
 
@@ -221,10 +221,9 @@ def shadowed(
     images: Stack, rng: np.random.Generator
 ) -> tuple[Stack, Mapping[str, Any]]:
     """Halve the images of a quarter of the lamps, as if they were in partial shadow."""
-    del rng
     dark = images.copy()
     dark[: len(images) // 4] *= images.dtype.type(0.5)
-    return dark, {"mask": np.ones(images.shape[1:], bool)}
+    return full_mask(dark, rng)
 
 
 def outliers(
@@ -232,8 +231,8 @@ def outliers(
 ) -> tuple[Stack, Mapping[str, Any]]:
     """Replace a tenth of the samples by random numbers in [0, 1)."""
     random_values = rng.random(images.shape).astype(images.dtype)
-    images = np.where(rng.random(images.shape) < 0.1, random_values, images)
-    return images, {"mask": np.ones(images.shape[1:], bool)}
+    changed = np.where(rng.random(images.shape) < 0.1, random_values, images)
+    return full_mask(changed, rng)
 
 
 def answers_of_maps(fitted: pf.Maps, truth: pf.Material) -> Answers:

@@ -28,7 +28,11 @@ PARAMETERS = ("ambient", "diffuse", "specular", "shininess")
 
 
 def situations() -> list[Situation]:
-    """All situations with a right model."""
+    """Situations in which the fitted model is the one that made the images.
+
+    Their kind is `"right"`: intervals must contain the truth as often as they state,
+    and warnings are false alarms (`experiments/honesty/judge.py`).
+    """
     spot = pf.SpotLight((2, 2, 3), (-2, -2, -3), 0.9, cutoff=40, exponent=2)
     subjects: dict[str, Subject | Draw] = {
         "one lamp": usual_subject(),
@@ -46,14 +50,14 @@ def situations() -> list[Situation]:
         "flat shading": mesh_ball(pf.FlatShading()),
         "Gouraud shading": mesh_ball(pf.GouraudShading()),
     }
-    plain = [
+    with_default_options = [
         Situation(name, "right", fits(subject, noisy()))
         for name, subject in subjects.items()
     ]
     grey = pf.Material(0.5, 0.3, 20.0, 0.4)
     coloured = usual_material(shininess=(12.0, 20.0, 40.0))
     return [
-        *plain,
+        *with_default_options,
         Situation("any material", "right", fits(random_material, noisy())),
         Situation("grey", "right", fits(usual_subject(grey), noisy(), per_channel=())),
         Situation("one channel thrice", "right", fits(usual_subject(grey), grey_noise)),
