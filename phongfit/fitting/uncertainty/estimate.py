@@ -84,7 +84,7 @@ def estimates(
     touched = slope != 0
     inner = np.where(np.isfinite(found.covariance), found.covariance, 0)
     covariance = slope @ inner @ slope.T
-    errors = np.sqrt(np.diag(covariance))
+    errors = np.sqrt(np.maximum(np.diag(covariance), 0))
 
     unseen, faint = doubtful_exponents(unknowns, position, found.sandwich)
     vague = _vague(unknowns, position, found, unseen)
@@ -101,7 +101,8 @@ def estimates(
         np.zeros(len(values), bool),
         make,
     )
-    unidentified, reasons = found.unidentified | unseen, [*found.reasons]
+    unidentified = found.unidentified | unseen | np.isinf(found.stderr)
+    reasons = [*found.reasons]
     if vague.any() or _near_bounds(unknowns, position, found):
         ends = region.ends(1.0)
         errors = np.max(np.abs(ends - values[:, None]), axis=1)

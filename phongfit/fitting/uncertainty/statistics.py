@@ -58,8 +58,13 @@ class Statistics:
 
     @property
     def stderr(self) -> np.ndarray:
-        """Standard errors of the free unknowns."""
-        return np.sqrt(np.diag(self.covariance))
+        """Standard errors of the free unknowns.
+
+        Infinite where rounding of barely identified directions makes a variance
+        negative.
+        """
+        variance = np.diag(self.covariance)
+        return np.sqrt(np.where(variance < 0, np.inf, variance))
 
     @property
     def scale(self) -> float:

@@ -13,6 +13,7 @@ from phongfit.fitting.uncertainty.identifiability import (
     find_unidentified,
     linked_groups,
 )
+from phongfit.fitting.uncertainty.statistics import Statistics
 from tests.fitting import canonical
 from tests.fitting.canonical import NOISE
 from tests.fitting.scenes import (
@@ -185,3 +186,12 @@ def test_linked_groups():
     )
     groups = linked_groups(linked, np.array([True, True, True, False]))
     assert [group.tolist() for group in groups] == [[0, 1], [2]]
+
+
+def test_a_variance_that_rounding_made_negative_is_an_infinite_error():
+    none = np.zeros(2, bool)
+    covariance = np.diag([4.0, -4e-3])
+    sandwich: Any = None
+    found = Statistics(sandwich, covariance, np.ones(2), none, none, 1.0, (), none)
+    assert found.stderr.tolist() == [2, np.inf]
+    assert found.scale == 0.25
