@@ -7,6 +7,7 @@ folders are made, and removed again if the output fails.
 
 import contextlib
 import errno
+import itertools
 import json
 import os
 import shutil
@@ -82,8 +83,8 @@ def replacing_folder(
 ) -> Iterator[Path]:
     """An empty folder to fill, whose contents move into `path` when the block succeeds.
 
-    If the block ends early, `path` is unchanged. Files of other names that other
-    programs put into `path` during the block stay there.
+    If the block ends early, `path` is unchanged. Files that other programs put into
+    `path` during the block stay there.
 
     **Arguments:**
 
@@ -113,6 +114,7 @@ def replacing_folder(
             _check_replaceable(path, may_replace)
             new.mkdir()
             yield new
+            _check_untaken(path, new, may_replace)
             os.replace(new, ready)
             for name in _names(path):
                 if may_replace is not None and may_replace(name):
@@ -172,6 +174,24 @@ def _check_replaceable(path: Path, may_replace: Callable[[str], bool] | None) ->
     for name in names:
         if may_replace is not None and not may_replace(name):
             raise OSError(f"{path}: is not replaced, since it holds {name}")
+
+
+def _check_untaken(
+    path: Path, new: Path, may_replace: Callable[[str], bool] | None
+) -> None:
+    """Raise if other programs put files of these names into `path` during the block.
+
+    The new files are then kept in a folder inside `path`.
+    """
+    for name in _names(new):
+        if (path / name).exists() and not (may_replace and may_replace(name)):
+            others = (path / f"{path.name}-{k}" for k in itertools.count(2))
+            kept = next(folder for folder in others if not folder.exists())
+            os.replace(new, kept)
+            raise OSError(
+                f"{path}: {name} appeared there meanwhile, and stays; the results are "
+                f"in {kept}"
+            )
 
 
 def _names(path: Path) -> list[str]:

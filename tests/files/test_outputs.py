@@ -132,6 +132,17 @@ def test_files_that_came_meanwhile_stay(tmp_path, may_replace):
     assert sorted(os.listdir(out)) == ["a.txt", "notes.txt"]
 
 
+def test_neither_a_file_that_came_meanwhile_nor_the_results_are_lost(tmp_path):
+    out = tmp_path / "set"
+    with pytest.raises(OSError, match=r"a\.txt appeared .* results are in .*set-2"):
+        with replacing_folder(out) as folder:
+            (folder / "a.txt").write_text("new")
+            (out / "a.txt").write_text("mine")
+    assert (out / "a.txt").read_text() == "mine"
+    assert (out / "set-2" / "a.txt").read_text() == "new"
+    assert sorted(os.listdir(out)) == ["a.txt", "set-2"]
+
+
 def test_files_beside_a_file_move_with_it(tmp_path):
     path = tmp_path / "lock"
     for stop in (True, False):
