@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -14,22 +15,21 @@ from phongfit.calibration.lamps import (
     Chrome,
     LampEstimate,
     Lamps,
-    Problem,
     angles,
     choose,
     follow,
     show_two_lamps,
     solve_lamps,
-    unpack,
 )
 from phongfit.calibration.least_squares import differentiated
 from phongfit.calibration.matte import (
     DARK,
     Matte,
     Place,
+    Strengths,
+    find_strengths,
     matte_sphere,
     overexposed,
-    rounding,
 )
 from phongfit.calibration.outlines import (
     SMALLEST,
@@ -37,6 +37,7 @@ from phongfit.calibration.outlines import (
     as_circle,
     dots,
     sphere_behind,
+    unit,
 )
 from phongfit.calibration.result import CalibratedSphere, Calibration, Lamp
 from phongfit.calibration.spheres import (
@@ -113,24 +114,26 @@ def calibrate(
     radius = _positive("sphere_radius", sphere_radius)
     warnings: list[str] = []
     outlines = _outlines(photographs, names, chrome, matte, view, warnings)
-    circles = [outline for _, outline in outlines]
-    crops = cut_out(photographs, names, circles, (height, width))
+    crops = cut_out(
+        photographs, names, [outline for _, outline in outlines], (height, width)
+    )
     spheres = _placed(outlines, crops, view, warnings)
     film = photographs.film if isinstance(photographs, Developed) else Film(clamp=False)
-    setup = _Setup(names, view, radius, lamps == "near", spheres, warnings, {})
-    matte_ball = _matte(setup, crops[-1], film)
-    shaded = None if matte_ball is None else matte_ball.shaded
+    setup = _set_up(names, view, radius, lamps, spheres, crops, film, warnings)
+    shaded = None if setup.matte is None else setup.matte.shaded
     mirrors = zip(crops, setup.chrome.outlines, strict=False)
     highlights = [_highlights(crop, outline) for crop, outline in mirrors]
     candidates = follow(highlights, setup.chrome, view)
     chosen = choose(candidates, (len(names), len(highlights)), lamps, shaded)
-    _leave_out_dark(setup, matte_ball, chosen)
-    _leave_out_double(setup, candidates, chosen)
-    estimate, kept = _solve(setup, candidates, chosen, matte_ball)
-    _judge(setup, estimate, kept, matte_ball)
+    left_out = _without_lamp(setup, chosen)
+    left_out |= _with_two_lamps(setup, candidates, chosen, left_out)
+    estimate, kept = _solve(setup, candidates, chosen, left_out)
+    strengths = _find_strengths(setup, estimate, kept)
+    _judge(setup, estimate, kept, left_out)
     missing = np.full((1, 2), np.nan)
     pixels = np.concatenate([candidates.pixel, missing])[chosen[kept]]
-    return _result(setup, estimate, kept, pixels, matte_ball)
+    found = _result(setup, estimate, strengths, kept, left_out, pixels)
+    return replace(found, warnings=tuple(warnings))
 
 
 def _several(photographs: Any) -> Images:
@@ -208,40 +211,19 @@ def _placed(
 class _Setup(NamedTuple):
     """Spheres and camera, for all stages of a calibration.
 
-    - `radius`: of the chrome spheres, or else of the matte one, which comes last.
-    - `near`: true for near lamps.
-    - `warnings`, `left_out`: filled by the stages; reasons by photograph.
+    - `reference`: point on the optical axis, at the mean depth of the spheres.
+    - `warnings`: filled by the stages.
     """
 
     names: tuple[str, ...]
     view: View
     radius: float
-    near: bool
+    lamps: Lamps
     spheres: Sequence[CalibratedSphere]
+    chrome: Chrome
+    matte: Matte | None
+    reference: Float[np.ndarray, "3"]
     warnings: list[str]
-    left_out: dict[int, str]
-
-    @property
-    def lamps(self) -> Lamps:
-        return "near" if self.near else "distant"
-
-    @property
-    def chrome(self) -> Chrome:
-        chrome = [sphere for sphere in self.spheres if sphere.kind == "chrome"]
-        return Chrome(
-            np.array([sphere.outline for sphere in chrome]).reshape(-1, 3),
-            np.array([sphere.covariance for sphere in chrome]).reshape(-1, 3, 3),
-            self.radius,
-        )
-
-    @property
-    def reference(self) -> Float[np.ndarray, "3"]:
-        """Point on the optical axis, at the mean depth of the spheres."""
-        outlines = self.chrome.outlines
-        if not len(outlines):
-            outlines = np.array([self.spheres[-1].outline])
-        depth = sphere_behind(outlines, self.view, self.radius)[:, 2].mean()
-        return np.array([0, 0, depth])
 
     def warn(self, code: str, words: str, remedy: str | None = None) -> None:
         self.warnings.append(coded(code, words, remedy))
@@ -252,20 +234,45 @@ class _Setup(NamedTuple):
         return names + (" …" if len(numbers) > 3 else "")
 
 
-def _matte(setup: _Setup, crop: Crop, film: Film) -> Matte | None:
-    """The matte sphere, at the others' depth, if there is one.
-
-    **Arguments:** `crop`: of the last sphere.
-    """
-    if setup.near and len(setup.spheres) < 2:
+def _set_up(
+    names: tuple[str, ...],
+    view: View,
+    radius: float,
+    lamps: Lamps,
+    spheres: Sequence[CalibratedSphere],
+    crops: Sequence[Crop],
+    film: Film,
+    warnings: list[str],
+) -> _Setup:
+    if lamps == "near" and len(spheres) < 2:
         raise ValueError(
             "lamps: expected two spheres to see how far near lamps are, got one"
         )
-    sphere, view, radius = setup.spheres[-1], setup.view, setup.radius
-    if sphere.kind != "matte":
-        return None
-    near, chrome = setup.near, setup.chrome.outlines
-    other = len(chrome) > 0
+    chrome = [sphere for sphere in spheres if sphere.kind == "chrome"]
+    outlines = np.array([sphere.outline for sphere in chrome]).reshape(-1, 3)
+    spread = np.array([sphere.covariance for sphere in chrome]).reshape(-1, 3, 3)
+    given = np.array([sphere.outline for sphere in chrome or spheres])
+    depth = sphere_behind(given, view, radius)[:, 2].mean()
+    reference, matte = np.array([0, 0, depth]), None
+    if spheres[-1].kind == "matte":
+        place, covariance = _matte_place(spheres[-1], outlines, view, radius, lamps)
+        crop = crops[-1]
+        at = crop.light, crop.corner, place, covariance
+        matte = matte_sphere(*at, view, reference, film)
+    mirrors = Chrome(outlines, spread, radius)
+    known = names, view, radius, lamps, spheres
+    return _Setup(*known, mirrors, matte, reference, warnings)
+
+
+def _matte_place(
+    sphere: CalibratedSphere,
+    chrome: Float[np.ndarray, "spheres 3"],
+    view: View,
+    radius: float,
+    lamps: Lamps,
+) -> tuple[Place, Float[np.ndarray, "5 5"]]:
+    """Initial place of the matte sphere, at the others' depth, and its covariance."""
+    near, other = lamps == "near", len(chrome) > 0
     if other and view.focal is not None:
         depths = sphere_behind(chrome, view, radius)[:, 2]
         radius = depths.mean() / sphere_behind(sphere.outline, view, 1.0)[2]
@@ -275,9 +282,7 @@ def _matte(setup: _Setup, crop: Crop, film: Film) -> Matte | None:
     covariance[:3, :3] = sphere.covariance
     covariance[3, 3] = (0.3 if near and other else 0.05 if other else 1e-6) ** 2
     covariance[4, 4] = (0.7 if near else 1e-6) ** 2
-    place = Place(sphere.outline, float(radius), 1.0 if near else 0.0)
-    at = crop.light, crop.corner, place, covariance
-    return matte_sphere(*at, view, setup.reference, film)
+    return Place(sphere.outline, float(radius), 1.0 if near else 0.0), covariance
 
 
 def _highlights(crop: Crop, outline: Outline) -> list[list[Highlight]]:
@@ -294,63 +299,65 @@ def _highlights(crop: Crop, outline: Outline) -> list[list[Highlight]]:
     return found
 
 
-def _leave_out_dark(
+def _without_lamp(
     setup: _Setup,
-    matte: Matte | None,
     chosen: Int[np.ndarray, "photographs spheres"],
-) -> None:
-    """Leave out photographs that show no lamp, or a near lamp on one sphere alone."""
+) -> dict[int, str]:
+    """Photographs without a visible lamp, or with too few spheres for a near lamp."""
     white, shows = np.zeros(len(chosen), bool), (chosen >= 0).sum(axis=1)
-    if matte is not None:
-        white = overexposed(matte.points)
-        shows = shows + matte.shaded.any(axis=1)
+    if setup.matte is not None:
+        white = overexposed(setup.matte.points)
+        shows = shows + setup.matte.shaded.any(axis=1)
+    left_out: dict[int, str] = {}
     for number, count in enumerate(shows):
         if count == 0:
-            setup.left_out[number] = "no highlight is seen on a sphere, and " + (
+            left_out[number] = "no highlight is seen on a sphere, and " + (
                 "the matte one is overexposed" if white[number] else "no shading"
             )
-        elif setup.near and count < 2:
-            setup.left_out[number] = (
+        elif setup.lamps == "near" and count < 2:
+            left_out[number] = (
                 "one sphere alone shows its lamp, which near lamps need two for"
             )
-    if len(setup.left_out) == len(chosen):
+    if len(left_out) == len(chosen):
         raise ValueError(
             "photographs: in none of them a lamp is seen on the spheres; "
             + ("expose less" if white.any() else "are the circles right?")
         )
+    return left_out
 
 
-def _leave_out_double(
+def _with_two_lamps(
     setup: _Setup,
     candidates: Candidates,
     chosen: Int[np.ndarray, "photographs spheres"],
-) -> None:
-    """Leave out photographs under two lamps; with a single sphere only warn.
+    left_out: dict[int, str],
+) -> dict[int, str]:
+    """Photographs under two lamps; with a single sphere only a warning.
 
     **Raises:** `ValueError` if no photograph remains.
     """
     double = np.flatnonzero(show_two_lamps(candidates, chosen, setup.lamps)).tolist()
-    if len(double) and chosen.shape[1] < 2:
+    if len(double) and len(setup.chrome.outlines) < 2:
         words = "the sphere shows two highlights that are alike"
         setup.warn("two-highlights", f"{setup.some_names(double)}: {words}")
-    elif len({*double, *setup.left_out}) == len(chosen):
+        return {}
+    if len({*double, *left_out}) == len(chosen):
         raise ValueError(
             "photographs: expected one lamp in each, got two in "
             f"{setup.names[double[0]]} and none that can be used"
         )
-    else:
-        setup.left_out.update(dict.fromkeys(double, "it shows two lamps"))
+    return dict.fromkeys(double, "it shows two lamps")
 
 
 def _solve(
     setup: _Setup,
     candidates: Candidates,
     chosen: Int[np.ndarray, "photographs spheres"],
-    matte: Matte | None,
+    left_out: dict[int, str],
 ) -> tuple[LampEstimate, list[int]]:
-    """Estimate the lamps of consistent photographs, and leave out the others."""
+    """Estimate the lamps of consistent photographs; others are added to `left_out`."""
     while True:
-        kept = [n for n in range(len(chosen)) if n not in setup.left_out]
+        kept = [n for n in range(len(chosen)) if n not in left_out]
         estimate = solve_lamps(
             candidates,
             chosen[kept],
@@ -358,10 +365,10 @@ def _solve(
             setup.view,
             setup.lamps,
             setup.reference,
-            None if matte is None else matte.of(kept),
+            None if setup.matte is None else setup.matte.of(kept),
         )
-        beyond = estimate.at.inverse_distances <= 0
-        if setup.near and beyond.any():
+        beyond = estimate.inverse_distances <= 0
+        if setup.lamps == "near" and beyond.any():
             if beyond.all():
                 raise ValueError(
                     "lamps: expected near ones, got rays from the spheres that do not "
@@ -373,75 +380,112 @@ def _solve(
             why = "its spheres disagree on where the lamp is"
             if not wrong.any() or (~wrong).sum() < 2:
                 return estimate, kept
-        setup.left_out.update({kept[n]: why for n in np.flatnonzero(wrong)})
+        left_out |= {kept[n]: why for n in np.flatnonzero(wrong)}
 
 
-def _numbers(near: bool, step: Any, values: Any, problem: Problem) -> Any:
-    """Positions or directions, strengths, and the fall-off, near a solution.
+def _find_strengths(
+    setup: _Setup, estimate: LampEstimate, kept: list[int]
+) -> Strengths:
+    """Strengths of the lamps, `nan` without a matte sphere."""
+    if setup.matte is None or estimate.place is None:
+        setup.warn("no-matte", "no matte sphere: how strong the lamps are is not known")
+        size = 3 * len(kept)
+        nothing, none = np.full((len(kept), 3), np.nan), np.zeros((size, size))
+        return Strengths(nothing, none, np.zeros((size, size + 5)))
+    matte = setup.matte.of(kept)._replace(place=estimate.place)
+    lamps = estimate.directions, estimate.tangents, estimate.inverse_distances
+    found = find_strengths(matte, *lamps)
+    dark = ~np.isfinite(found.intensity).all(axis=1)
+    if dark.any():
+        white = overexposed(matte.points)[dark].all()
+        setup.warn(
+            "strength-unknown",
+            f"{setup.some_names([kept[n] for n in np.flatnonzero(dark)])}: the matte "
+            f"sphere is {'overexposed' if white else 'hardly lit'}, and does not "
+            "say how strong the lamp is",
+        )
+    return found
 
-    A step has the unknowns of the problem, and the logarithm of a factor on all
-    distances from the camera, which a pinhole's image does not determine. Strengths are
-    those at the fixed reference point, over their mean.
+
+def _numbers(
+    near: bool, step: Any, estimate: Any, strengths: Any, known: Any, reference: Any
+) -> Any:
+    """Positions or directions, strengths, and the fall-off, near an estimate.
+
+    A step has the numbers of `estimate.joint`, errors of strengths, and the logarithm
+    of a factor on all distances from the camera, which a pinhole's image does not
+    determine. Strengths are those at the fixed reference point, over their mean.
     """
-    at, known = unpack(values + step[:-1], problem), problem.shading.known
-    places, strength = at.directions, at.strengths * known
+    size = strengths.slopes.shape[1]
+    joint, errors, scale = jnp.split(step, (size, 2 * size - 5))
+    own = joint[:-5].reshape(-1, 3)
+    turned = jnp.einsum("li,lij->lj", own[:, :2], estimate.tangents)
+    places = unit(estimate.directions + turned)
+    moved = strengths.slopes @ joint + errors
+    strength = strengths.intensity + moved.reshape(-1, 3)
     if near:
-        offset = jnp.exp(step[-1]) * places / at.inverse_distances[:, None]
-        places = jnp.exp(step[-1]) * problem.reference + offset
-        away = places - problem.reference
-        strength = strength * dots(offset, offset) / dots(away, away)
-    mean = jnp.sum(strength) / jnp.maximum(jnp.sum(known), 1)
+        offset = (
+            jnp.exp(scale) * places / (estimate.inverse_distances + own[:, 2])[:, None]
+        )
+        places = jnp.exp(scale) * reference + offset
+        nearer = dots(offset, offset) / dots(places - reference, places - reference)
+        strength = strength * nearer
+    mean = jnp.sum(strength * known) / jnp.maximum(jnp.sum(known), 1)
     strength = strength / jnp.where(mean > 0, mean, 1)
-    return jnp.concatenate([places.ravel(), strength.ravel(), at.place[-1:]])
+    return jnp.concatenate([places.ravel(), strength.ravel(), joint[-1:]])
 
 
 def _result(
     setup: _Setup,
     estimate: LampEstimate,
+    strengths: Strengths,
     kept: list[int],
+    left_out: dict[int, str],
     pixels: Float[np.ndarray, "lamps spheres 2"],
-    matte: Matte | None,
 ) -> Calibration:
     """Lamps with their joint covariance, to first order."""
-    near, count, chrome = setup.near, len(kept), setup.chrome
-    problem, solution = estimate.problem, estimate.solution
-    known = problem.shading.known
-    mean = estimate.at.strengths[known].mean() if known.any() else 1.0
+    near, count, chrome = setup.lamps == "near", len(kept), setup.chrome
+    known = np.isfinite(strengths.intensity)
+    mean = strengths.intensity[known].mean() if known.any() else 1.0
     mean = mean if mean > 0 else 1.0
-    spread = np.zeros(np.add(solution.covariance.shape, 1))
-    spread[:-1, :-1] = solution.covariance
-    turns = np.arange(2 * count)
-    spread[turns, turns] += BEST**2 / 2
-    if matte is not None:
-        seen = matte.of(kept)._replace(place=estimate.place)
-        lamps = estimate.at.directions, problem.tangents, estimate.at.inverse_distances
-        strengths = slice(len(spread) - 1 - 3 * count, -1)
-        spread[strengths, strengths] += rounding(seen, problem.shading, *lamps)
+    floor = np.diag([BEST**2 / 2, BEST**2 / 2, 0])
+    joint = estimate.joint.copy()
+    joint[:-5, :-5] += np.kron(np.eye(count), floor)
+    scale = 0.0
     if near and setup.view.focal is not None and len(chrome.outlines):
         # Errors of radii are common to all spheres, since their rims look alike.
-        errors = np.sqrt(chrome.covariances[:, 2, 2])
-        spread[-1, -1] = np.mean(errors / chrome.outlines[:, 2]) ** 2
-    values, slopes = differentiated(functools.partial(_numbers, near))(
-        np.zeros(len(spread)), solution.values, problem
+        sizes = chrome.outlines[:, 2]
+        scale = float(np.mean(np.sqrt(chrome.covariances[:, 2, 2]) / sizes))
+    from scipy.linalg import block_diag
+
+    spread = np.asarray(block_diag(joint, strengths.covariance, scale**2))
+    filled = strengths._replace(intensity=np.nan_to_num(strengths.intensity))
+    numbers = differentiated(functools.partial(_numbers, near))
+    values, slopes = numbers(
+        np.zeros(len(spread)),
+        estimate._replace(place=None),
+        filled,
+        known.astype(float),
+        setup.reference,
     )
     covariance = slopes @ spread @ slopes.T
     errors = np.sqrt(np.diag(covariance))
     places, intensity = values[:-1].reshape(2, count, 3)
     intensity_error = errors[3 * count : -1].reshape(count, 3)
-    angle = np.sqrt(np.diag(spread)[turns].reshape(-1, 2).sum(axis=1))
-    lamps = [
-        Lamp(
-            setup.names[number],
-            estimate.at.directions[n],
-            places[n] if near else None,
-            covariance[3 * n : 3 * n + 3, 3 * n : 3 * n + 3],
-            float(np.degrees(angle[n])),
-            np.where(known, intensity, np.nan)[n],
-            np.where(known, intensity_error, np.nan)[n],
-            pixels[n],
-        )
-        for n, number in enumerate(kept)
-    ]
+    own = [slice(3 * number, 3 * number + 3) for number in range(count)]
+    turns = [np.trace(joint[lamp, lamp][:2, :2]) for lamp in own]
+    rows = zip(
+        [setup.names[number] for number in kept],
+        estimate.directions,
+        places if near else [None] * count,
+        [covariance[lamp, lamp] for lamp in own],
+        np.degrees(np.sqrt(turns)).tolist(),
+        np.where(known, intensity, np.nan),
+        np.where(known, intensity_error, np.nan),
+        pixels,
+        strict=True,
+    )
+    lamps = [Lamp(*row) for row in rows]
     # Chrome spheres come first, and a matte one may follow.
     place = estimate.place
     outlines = [*estimate.outlines, *([] if place is None else [place.outline])]
@@ -449,48 +493,47 @@ def _result(
         sphere._replace(outline=outline)
         for sphere, outline in zip(setup.spheres, outlines, strict=True)
     )
-    view_height = None
-    if setup.view.fov_y is None:
-        # For parallel rays, from the radius of the spheres in pixels.
-        sizes = [s.outline[2] for s in spheres if s.kind == spheres[0].kind]
-        view_height = float(setup.view.height * setup.radius / np.mean(sizes))
+    ambient, error = np.zeros(3), np.zeros(3)
+    if setup.matte is not None:
+        ambient, error = setup.matte.ambient, setup.matte.ambient_error
+    falloff = 1.0 if place is None else float(place.falloff)
     return Calibration(
         setup.view,
         tuple(lamps),
         spheres,
         setup.radius,
         setup.reference,
-        float(1.0 if place is None else place.falloff) if near else 0.0,
-        (np.zeros(3) if matte is None else matte.ambient) / mean,
-        {setup.names[n]: why for n, why in sorted(setup.left_out.items())},
-        tuple(setup.warnings),
-        view_height,
+        falloff if near else 0.0,
+        ambient / mean,
+        {setup.names[n]: why for n, why in sorted(left_out.items())},
+        (),
+        _view_height(setup, spheres),
         covariance if known.all() else covariance[: 3 * count, : 3 * count],
         float(errors[-1]) if near else 0.0,
-        (np.zeros(3) if matte is None else matte.ambient_error) / mean,
+        error / mean,
     )
 
 
+def _view_height(setup: _Setup, spheres: Sequence[CalibratedSphere]) -> float | None:
+    """Height of the view for parallel rays, from the spheres' radius in pixels."""
+    if setup.view.fov_y is not None:
+        return None
+    sizes = [s.outline[2] for s in spheres if s.kind == "chrome"]
+    sizes = sizes or [s.outline[2] for s in spheres]
+    return float(setup.view.height * setup.radius / np.mean(sizes))
+
+
 def _judge(
-    setup: _Setup, estimate: LampEstimate, kept: list[int], matte: Matte | None
+    setup: _Setup,
+    estimate: LampEstimate,
+    kept: list[int],
+    left_out: dict[int, str],
 ) -> None:
     """Add the warnings of the whole calibration."""
-    outlines, near = setup.chrome.outlines, setup.near
-    dark = np.flatnonzero(~estimate.problem.shading.known.all(axis=1))
-    if matte is None:
-        setup.warn("no-matte", "no matte sphere: how strong the lamps are is not known")
-    elif len(dark):
-        unknown = [kept[n] for n in dark]
-        white = overexposed(matte.of(unknown).points).all()
-        setup.warn(
-            "strength-unknown",
-            f"{setup.some_names(unknown)}: the matte sphere is "
-            f"{'overexposed' if white else 'hardly lit'}, and does not say how strong "
-            "the lamp is",
-        )
-    for number, why in sorted(setup.left_out.items()):
+    outlines, near = setup.chrome.outlines, setup.lamps == "near"
+    for number, why in sorted(left_out.items()):
         setup.warn("left-out", f"{setup.names[number]} is left out: {why}")
-    if len(outlines) == 1 and matte is None:
+    if len(outlines) == 1 and setup.matte is None:
         setup.warn("one-sphere", "one sphere alone: its highlights are unchecked")
     shown = np.isfinite(estimate.residuals).mean(axis=0)
     for (x, y, _), share in zip(outlines, shown, strict=True):
@@ -508,9 +551,9 @@ def _judge(
             "Check the circles, and whether the lamps are "
             + ("distant" if near else "near"),
         )
-    if matte is not None and len(outlines) and not near:
-        shaded = matte.shaded[kept]
-        apart = np.degrees(angles(shaded, estimate.at.directions))[shaded.any(axis=1)]
+    if setup.matte is not None and len(outlines) and not near:
+        shaded = setup.matte.shaded[kept]
+        apart = np.degrees(angles(shaded, estimate.directions))[shaded.any(axis=1)]
         if len(apart) and np.median(apart) > 3:
             setup.warn(
                 "matte-disagrees",

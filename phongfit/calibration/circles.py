@@ -1,10 +1,10 @@
 """Find outlines of spheres in an edge map, to a fraction of a pixel."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Float
 
 FOUND = 0.85
 """Smallest fraction of a circle's arc on which there must be an edge."""
@@ -58,42 +58,40 @@ class Edges(NamedTuple):
     direction: Float[np.ndarray, "height width 2"]
 
 
-def _gradient(
-    light: Float[np.ndarray, "height width"], width: float
-) -> tuple[Complex[np.ndarray, "height width"], float]:
-    """The gradient of a photograph, right + i down, after smoothing by `width` pixels.
+def gradient(
+    image: Float[np.ndarray, "height width"], width: float
+) -> tuple[Float[np.ndarray, "height width"], Float[np.ndarray, "height width"]]:
+    """Derivatives to the right and down, after smoothing by `width` pixels."""
+    from scipy.ndimage import gaussian_filter1d
 
-    It is that of the square root of light, whose photon noise is uniform.
-
-    **Returns:** also the square of the size that has weight 1/2 as an edge.
-    """
-    from scipy.ndimage import gaussian_filter
-
-    image = np.sqrt(np.maximum(light, 0))
-    orders: Any = (0, 1), (1, 0)
-    across, down = (gaussian_filter(image, width, order) for order in orders)
-    # In pure noise the median of a gradient's size is 1.18 σ of its components; this
-    # holds, since most of a photograph is smooth.
-    noise = float(np.median(across**2 + down**2)) / 1.18**2
-    return across + 1j * down, CLEAR**2 * max(noise, 1e-8)
+    across = gaussian_filter1d(gaussian_filter1d(image, width, 0), width, 1, 1)
+    down = gaussian_filter1d(gaussian_filter1d(image, width, 1), width, 0, 1)
+    return across, down
 
 
 def find_edges(photographs: Float[np.ndarray, "count height width"]) -> Edges:
     """Edges that are common to photographs of one camera.
 
-    With m the size of the gradient in units of noise, the weight is m² / (m² + CLEAR²):
-    a faint outline in all photographs weighs as much as a bright one.
+    The gradient is that of the square root of light, whose photon noise is uniform.
+    With m its size in units of noise, the weight is m² / (m² + CLEAR²): a faint outline
+    in all photographs weighs as much as a bright one.
 
     **Arguments:** `photographs`: grey linear light; each under another lamp.
     """
-    # A complex gradient's square has twice its angle, so that its sign is arbitrary.
-    doubled = np.zeros(photographs.shape[1:], complex)
     strength = np.zeros(photographs.shape[1:])
+    tensor = np.zeros((*photographs.shape[1:], 3))
     for light in photographs:
-        gradient, half = _gradient(light, SMOOTHING)
-        strength += np.abs(gradient) ** 2 / (np.abs(gradient) ** 2 + half)
-        doubled += gradient**2 / (np.abs(gradient) ** 2 + half)
-    angle = np.angle(doubled) / 2
+        image = np.sqrt(np.maximum(light, 0))
+        across, down = gradient(image, SMOOTHING)
+        squared = across**2 + down**2
+        # In pure noise the median of a gradient's size is 1.18 σ of its components;
+        # this holds, since most of a photograph is smooth.
+        noise = max(np.median(squared) / 1.18**2, 1e-8)
+        strength += squared / (squared + CLEAR**2 * noise)
+        share = 1 / (squared + CLEAR**2 * noise)
+        tensor += np.stack([across**2, across * down, down**2], -1) * share[..., None]
+    # The principal axis of the gradients, whose sign is arbitrary.
+    angle = 0.5 * np.arctan2(2 * tensor[..., 1], tensor[..., 0] - tensor[..., 2])
     direction = np.stack([np.cos(angle), np.sin(angle)], -1)
     return Edges(strength / len(photographs), direction)
 
@@ -228,9 +226,11 @@ def _edge_points(
     """Edge points of each ring; each photograph's gradient is computed once."""
     found: list[list[np.ndarray]] = [[] for _ in rings]
     for light in photographs:
-        gradient, half = _gradient(light, FINE)
+        slopes = gradient(np.sqrt(np.maximum(light, 0)), FINE)
+        squared = slopes[0] ** 2 + slopes[1] ** 2
+        noise = max(float(np.median(squared)) / 1.18**2, 1e-8)
         for ring, points in zip(rings, found, strict=True):
-            points.append(_along(ring, gradient, half))
+            points.append(_along(ring, slopes, noise))
     together = [np.concatenate(points, axis=1) for points in found]
     return [
         _EdgePoints(angle, offset, weight, len(photographs))
@@ -239,16 +239,15 @@ def _edge_points(
 
 
 def _along(
-    ring: _Ring, gradient: Complex[np.ndarray, "height width"], half: float
+    ring: _Ring, slopes: tuple[np.ndarray, np.ndarray], noise: float
 ) -> Float[np.ndarray, "3 points"]:
     """Angle, offset and weight of a photograph's edge points along one ring."""
     from scipy import ndimage
 
     # Only the radial gradient, since edges along a radius are not the outline's.
-    seen = np.asarray(ndimage.map_coordinates(gradient, ring.where, order=1))
-    away = ring.away[:, :1] + 1j * ring.away[:, 1:]
-    squared = np.real(seen * np.conj(away)) ** 2
-    height = squared / (squared + half)
+    towards = [ndimage.map_coordinates(part, ring.where, order=1) for part in slopes]
+    radial = towards[0] * ring.away[:, :1] + towards[1] * ring.away[:, 1:]
+    height = radial**2 / (radial**2 + CLEAR**2 * noise)
     left, middle, right = height[:, :-2], height[:, 1:-1], height[:, 2:]
     row, column = np.nonzero((middle >= left) & (middle > right) & (middle > MARKED))
     a, b, c = (part[row, column] for part in (left, middle, right))

@@ -17,7 +17,6 @@ from phongfit.calibration.matte import (
     Matte,
     Place,
     Shading,
-    no_shading,
     shade,
 )
 from phongfit.calibration.outlines import View, mirrored, unit
@@ -65,9 +64,9 @@ class Candidates(NamedTuple):
     - `photograph`, `sphere`: by number.
     - `pixel`, `error`, `score`: as in [`Highlight`][].
     - `position`, `direction`: ray from the sphere's surface.
-    - `tangent`: two unit vectors perpendicular to it.
-    - `by_pixel`: derivatives of the direction, in this basis.
-    - `variance`: of the direction along each axis, radians².
+    - `tangent`: two unit vectors perpendicular to it; the next two are in this basis.
+    - `by_pixel`: derivatives of the direction.
+    - `covariance`: of the direction, radians².
     """
 
     photograph: Int[np.ndarray, " count"]
@@ -79,13 +78,13 @@ class Candidates(NamedTuple):
     direction: Float[np.ndarray, "count 3"]
     tangent: Float[np.ndarray, "count 2 3"]
     by_pixel: Float[np.ndarray, "count 2 2"]
-    variance: Float[np.ndarray, " count"]
+    covariance: Float[np.ndarray, "count 2 2"]
 
 
 def follow(
     highlights: Sequence[Sequence[Sequence[Highlight]]], chrome: Chrome, view: View
 ) -> Candidates:
-    """Highlights as rays with their variances.
+    """Highlights as rays with their covariances.
 
     **Arguments:** `highlights`: by sphere and photograph.
     """
@@ -99,19 +98,19 @@ def follow(
     pixel = np.array([one[2] for one in found], float).reshape(-1, 2)
     error, _, score = np.array([one[3:] for one in found], float).reshape(-1, 3).T
 
-    outlines, spread = chrome.outlines[sphere], chrome.covariances[sphere]
-
     def rays(step: Any, pixel: Any, outline: Any) -> Any:
-        return mirrored(pixel + step, outline, view, chrome.radius)
+        return mirrored(pixel + step[:2], outline + step[2:], view, chrome.radius)
 
-    ray, by_step = differentiated(rays)(np.zeros(2), pixel, outlines)
-    tangent = tangents(ray.direction)
-    by_pixel = tangent @ by_step.direction
-    # A mirror turns the ray by twice the normal's angle.
-    variance = error**2 * np.sum(by_pixel**2, axis=(1, 2)) / 2
-    variance += 4 * spread[:, 0, 0] / outlines[:, 2] ** 2
-    found = photograph, sphere, pixel, error, score
-    return Candidates(*found, ray.position, ray.direction, tangent, by_pixel, variance)
+    found, by_step = differentiated(rays)(np.zeros(5), pixel, chrome.outlines[sphere])
+    position, direction = found
+    tangent = tangents(direction)
+    slopes = tangent @ by_step.direction
+    by_pixel, by_outline = slopes[..., :2], slopes[..., 2:]
+    covariance = error[:, None, None] ** 2 * by_pixel @ by_pixel.swapaxes(1, 2)
+    spread = chrome.covariances[sphere]
+    covariance += by_outline @ spread @ by_outline.swapaxes(1, 2)
+    ray = position, direction, tangent, by_pixel, covariance
+    return Candidates(photograph, sphere, pixel, error, score, *ray)
 
 
 def choose(
@@ -213,7 +212,8 @@ def _disagreement(
 def _scatter(picks: np.ndarray, candidates: Candidates, lamps: Lamps) -> float:
     """χ² of the rays of some candidates as rays of one lamp."""
     # Real spheres are not accurate to better than half a degree.
-    variances = np.radians(0.5) ** 2 + candidates.variance[picks]
+    spread = np.trace(candidates.covariance[picks], axis1=1, axis2=2) / 2
+    variances = np.radians(0.5) ** 2 + spread
     apart = angles(candidates.direction[picks], _towards(picks, candidates, lamps))
     return float(np.sum(apart**2 / variances))
 
@@ -242,35 +242,43 @@ def angles(
     return np.asarray(2 * np.arcsin(np.clip(np.linalg.norm(a - b, axis=-1) / 2, 0, 1)))
 
 
-class Unknowns(NamedTuple):
-    """Lamps as directions and distances from a reference point, and spheres.
+class LampEstimate(NamedTuple):
+    """Lamps as directions and distances from a reference point, with covariance.
 
     - `directions`: unit vectors from the reference point to each lamp.
+    - `tangents`: two unit vectors perpendicular to each.
     - `inverse_distances`: 1 / distance from the reference point; 0 for parallel rays.
-    - `moves`: of the chrome spheres' outlines.
-    - `place`: move of the matte sphere's place.
-    - `room`: change of the light of the room on the matte sphere, in its errors.
-    - `strengths`: of the lamps at the reference point, in linear light.
+    - `joint`: covariance of the turns of each direction along its tangents, in radians,
+        and of its inverse distance, lamp by lamp, and of the numbers that move the
+        matte sphere's place, since errors of a sphere are common to all lamps.
+    - `residuals`: distance of each highlight from its prediction, in standard
+        deviations; `nan` for missing highlights.
+    - `scatter`: root mean square distance of highlights from their predictions, over
+        their stated errors; 1 if nothing determines it.
+    - `outlines`: of the spheres, refined by all highlights.
+    - `place`: of the matte sphere, refined by all photographs.
     """
 
-    directions: Any
-    inverse_distances: Any
-    moves: Any
-    place: Any
-    room: Any
-    strengths: Any
+    directions: Float[np.ndarray, "lamps 3"]
+    tangents: Float[np.ndarray, "lamps 2 3"]
+    inverse_distances: Float[np.ndarray, " lamps"]
+    joint: Float[np.ndarray, "lamps*3+5 lamps*3+5"]
+    residuals: Float[np.ndarray, "lamps spheres"]
+    scatter: float
+    outlines: Float[np.ndarray, "spheres 3"]
+    place: Place | None
 
 
-class Problem(NamedTuple):
+class _Problem(NamedTuple):
     """Constants of the residuals, by lamp, highlight or sphere.
 
     Unknowns are two turns of each lamp along `tangents` from `start`, inverse distances
-    (one for each, one for all, or none), and the others of [`Unknowns`][].
+    (one for each, one for all, or none), and moves of the chrome spheres' outlines and
+    of the matte sphere's place.
 
     - `lamp`, `sphere`: of each highlight.
     - `to_pixels`: from differences of directions to those of highlights, in σ.
-    - `whiten`: from moves of outlines to residuals.
-    - `hold`: from the matte sphere's place and the light of the room to residuals.
+    - `whiten`, `hold`: from moves of outlines and of the place to residuals.
     - `shading`: linearised at `about`, inverse distances and moves of the place.
     - `scales`: factors of the errors of highlights and of shading.
     """
@@ -290,54 +298,26 @@ class Problem(NamedTuple):
     scales: Any
 
 
-class LampEstimate(NamedTuple):
-    """Lamps and spheres that fit all photographs best.
-
-    - `solution`: of `problem`; its covariance is that of all unknowns.
-    - `at`: the unknowns.
-    - `residuals`: distance of each highlight from its prediction, in standard
-        deviations; `nan` for missing highlights.
-    - `outlines`: of the chrome spheres, refined by all highlights.
-    - `place`: of the matte sphere, refined by all photographs.
-    """
-
-    solution: Solution
-    problem: Problem
-    at: Unknowns
-    residuals: Float[np.ndarray, "lamps spheres"]
-    outlines: Float[np.ndarray, "spheres 3"]
-    place: Place | None
-
-    @property
-    def scatter(self) -> float:
-        """Root mean square distance of highlights from their predictions.
-
-        In units of their stated errors; 1 if nothing determines it.
-        """
-        return float(self.problem.scales[0])
+class _Unknowns(NamedTuple):
+    directions: Any
+    inverse_distances: Any
+    moves: Any
+    place: Any
 
 
-def unpack(values: Any, problem: Problem) -> Unknowns:
-    """The unknowns, from a vector of all of them, in arrays of NumPy or JAX."""
+def _unpack(values: Any, problem: _Problem) -> _Unknowns:
     xp, count = namespace(values), len(problem.start)
-    spheres = 3 * len(problem.chrome.outlines)
-    ends = np.cumsum([spheres, 5, 3]) + len(values) - 3 * count - spheres - 8
-    parts = xp.split(values, (2 * count, ends[0] - spheres, *ends.tolist()))
-    turns, inverse, moves, place, room, strengths = parts
+    spheres = len(problem.chrome.outlines)
+    turns, inverse, moves = xp.split(values, (2 * count, len(values) - 3 * spheres - 5))
     turned = xp.einsum("li,lij->lj", turns.reshape(-1, 2), problem.tangents)
-    return Unknowns(
-        unit(problem.start + turned),
-        xp.broadcast_to(inverse if len(inverse) else xp.zeros(1), (count,)),
-        moves.reshape(-1, 3),
-        place,
-        room,
-        strengths.reshape(-1, 3),
-    )
+    each = xp.broadcast_to(inverse if len(inverse) else xp.zeros(1), (count,))
+    moved = moves[:-5].reshape(-1, 3)
+    return _Unknowns(unit(problem.start + turned), each, moved, moves[-5:])
 
 
-def _residuals(view: View, values: Any, problem: Problem) -> Any:
+def _residuals(view: View, values: Any, problem: _Problem) -> Any:
     """Residuals of highlights, outlines, shading and the matte sphere's place."""
-    at = unpack(values, problem)
+    at = _unpack(values, problem)
     outlines = (problem.chrome.outlines + at.moves)[problem.sphere]
     ray = mirrored(problem.pixel, outlines, view, problem.chrome.radius)
 
@@ -353,14 +333,9 @@ def _residuals(view: View, values: Any, problem: Problem) -> Any:
     nearer = (at.inverse_distances - inverse)[:, None]
     moved = jnp.broadcast_to(at.place - place, (len(inverse), 5))
     step = jnp.concatenate([turns, nearer, moved], axis=1)
-    shading = problem.shading
-    shaded = jnp.einsum("lij,lj->li", shading.root, step) - shading.aim
-    strengths = shading.strengths + jnp.einsum("lcj,lj->lc", shading.by_step, step)
-    strengths = at.strengths - strengths - shading.by_room * at.room
+    shaded = jnp.einsum("lij,lj->li", problem.shading.root, step) - problem.shading.aim
     parts = in_pixels / problem.scales[0], held, shaded / problem.scales[1]
-    parts += (strengths / shading.errors,)
-    known = problem.hold @ jnp.concatenate([at.place, at.room])
-    return jnp.concatenate([*map(jnp.ravel, parts), known])
+    return jnp.concatenate([*map(jnp.ravel, parts), problem.hold @ at.place])
 
 
 def solve_lamps(
@@ -395,14 +370,12 @@ def solve_lamps(
     shown = chosen[lamp, sphere]
     to_pixels = np.linalg.inv(candidates.by_pixel[shown]) @ candidates.tangent[shown]
     whiten = np.linalg.inv(np.linalg.cholesky(chrome.covariances))
-    hold = np.eye(8)
-    if matte is not None:
-        hold[:5, :5] = np.linalg.cholesky(matte.covariance)
+    hold = np.eye(5) if matte is None else np.linalg.cholesky(matte.covariance)
     several = len(lamp) > len(np.unique(lamp)) or matte is not None
     distances = count if lamps == "near" else int(several)
     shaded = np.zeros((count, 3)) if matte is None else matte.shaded
     directions, inverse = _start(lamp, candidates, shown, shaded, lamps, reference)
-    problem = Problem(
+    problem = _Problem(
         lamp,
         sphere,
         candidates.pixel[shown],
@@ -413,16 +386,16 @@ def solve_lamps(
         tangents(directions),
         reference,
         np.linalg.inv(hold),
-        no_shading(count),
+        Shading(np.zeros((count, 8, 8)), np.zeros((count, 8)), 0),
         (inverse, np.zeros(5)),
         np.ones(2),
     )
-    begin = np.zeros(5 * count + distances + 3 * spheres + 8)
+    begin = np.zeros(2 * count + distances + 3 * spheres + 5)
     begin[2 * count : 2 * count + distances] = inverse[:distances]
     upper = np.full(len(begin), np.inf)
     if matte is not None and lamps == "near":
         # Light falls off at most with the square of the distance.
-        upper[-4 - 3 * count] = 1 - matte.place.falloff
+        upper[-1] = 1 - matte.place.falloff
     residuals = differentiated(functools.partial(_residuals, view))
     estimate = None
     for number in range(1 if matte is None else ROUNDS):
@@ -435,16 +408,16 @@ def solve_lamps(
             problem = problem._replace(shading=shading)
         solution, problem = _weighted(residuals, problem, begin, upper)
         estimate = _estimate(solution, problem, matte)
-        moved = angles(problem.start, estimate.at.directions)
-        variances = np.diag(solution.covariance)[: 2 * count].reshape(-1, 2)
-        near = moved < 0.02 * np.sqrt(variances.sum(axis=1))
+        moved = angles(problem.start, estimate.directions)
+        variances = np.diag(estimate.joint)[:-5].reshape(-1, 3)
+        near = moved < 0.02 * np.sqrt(variances[:, :2].sum(axis=1))
         if looked and near.all():
             break
         begin = np.concatenate([np.zeros(2 * count), solution.values[2 * count :]])
         problem = problem._replace(
-            start=estimate.at.directions,
-            tangents=tangents(estimate.at.directions),
-            about=(estimate.at.inverse_distances, estimate.at.place),
+            start=estimate.directions,
+            tangents=tangents(estimate.directions),
+            about=(estimate.inverse_distances, solution.values[-5:]),
         )
     assert estimate is not None
     return estimate
@@ -480,15 +453,14 @@ def _start(
 
 def _weighted(
     residuals: Callable[..., Any],
-    problem: Problem,
+    problem: _Problem,
     begin: np.ndarray,
     upper: np.ndarray,
-) -> tuple[Solution, Problem]:
+) -> tuple[Solution, _Problem]:
     """The solution, iterated with the variance components of its residuals."""
-    highlights, shaded = 2 * len(problem.lamp), 8 * len(problem.start)
+    highlights, spheres = 2 * len(problem.lamp), 3 * len(problem.chrome.outlines)
     ranks = np.array([highlights, problem.shading.rank])
-    first = highlights + 3 * len(problem.chrome.outlines)
-    groups = slice(0, highlights), slice(first, first + shaded)
+    groups = slice(0, highlights), slice(highlights + spheres, -5)
     solution = least_squares(residuals, begin, problem, upper=upper)
     for _ in range(SCALINGS):
         squared = [np.sum(solution.residual[group] ** 2) for group in groups]
@@ -505,12 +477,28 @@ def _weighted(
 
 
 def _estimate(
-    solution: Solution, problem: Problem, matte: Matte | None
+    solution: Solution, problem: _Problem, matte: Matte | None
 ) -> LampEstimate:
-    at = unpack(solution.values, problem)
+    at = _unpack(solution.values, problem)
+    count, spheres = len(problem.start), len(problem.chrome.outlines)
+    distances = len(solution.values) - 2 * count - 3 * spheres - 5
+    # Matrix from unknowns to the numbers of each lamp, and of the place.
+    each, taken = np.arange(count), np.zeros((3 * count + 5, len(solution.values)))
+    taken[3 * each, 2 * each] = taken[3 * each + 1, 2 * each + 1] = 1
+    if distances:
+        taken[3 * each + 2, 2 * count + np.minimum(each, distances - 1)] = 1
+    if matte is not None:
+        taken[-5:, -5:] = np.eye(5)
     apart = solution.residual[: 2 * len(problem.lamp)].reshape(-1, 2)
-    distance = np.full((len(problem.start), len(problem.chrome.outlines)), np.nan)
+    distance = np.full((count, spheres), np.nan)
     distance[problem.lamp, problem.sphere] = np.hypot(*apart.T)
-    place = None if matte is None else matte.place.moved(at.place)
-    outlines = problem.chrome.outlines + at.moves
-    return LampEstimate(solution, problem, at, distance, outlines, place)
+    return LampEstimate(
+        at.directions,
+        problem.tangents,
+        at.inverse_distances,
+        taken @ solution.covariance @ taken.T,
+        distance,
+        float(problem.scales[0]),
+        problem.chrome.outlines + at.moves,
+        None if matte is None else matte.place.moved(at.place),
+    )

@@ -33,8 +33,7 @@ class Solution(NamedTuple):
     @property
     def covariance(self) -> Float[np.ndarray, "n n"]:
         """Covariance for residuals of variance 1; 0 for directions without data."""
-        root = np.linalg.pinv(self.jacobian, rcond=3e-8)
-        return root @ root.T
+        return np.linalg.pinv(self.jacobian.T @ self.jacobian)
 
     @property
     def hat(self) -> Float[np.ndarray, " m"]:
@@ -42,31 +41,39 @@ class Solution(NamedTuple):
         return np.vecdot(self.jacobian @ self.covariance, self.jacobian)
 
 
-def differentiated(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that also returns its Jacobian by its first argument, a vector.
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A JAX function that takes and returns NumPy arrays, in double precision.
 
-    It takes and returns NumPy arrays, in double precision. Its compiled programs are
-    freed together with it, so that a process which calibrates many captures does not
-    accumulate them.
+    Its compiled programs are freed together with it, so that a process which calibrates
+    many captures does not accumulate them.
     """
+    program = jax.jit(function, compiler_options=compiler_options())
 
-    def both(values: Any, *args: Any) -> Any:
-        result = function(values, *args)
-        return result, result
-
-    derivative = jax.jacfwd(both, has_aux=True)
-    program = jax.jit(derivative, compiler_options=compiler_options())
-
-    def run(values: Any, *args: Any) -> Any:
+    def run(*args: Any) -> Any:
         # Python and NumPy numbers have different types: JAX would compile twice.
-        args = jax.tree.map(np.asarray, (np.asarray(values, float), *args))
+        args = jax.tree.map(np.asarray, args)
         with (
             jax.enable_x64(True),
             # Functions that also run in NumPy need NumPy's promotion rules.
             jax.numpy_rank_promotion("allow"),
             jax.numpy_dtype_promotion("standard"),
         ):
-            jacobian, value = jax.tree.map(np.array, program(*args))
+            return jax.tree.map(np.array, program(*args))
+
+    return run
+
+
+def differentiated(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function that also returns its Jacobian by its first argument, a vector."""
+
+    def both(values: Any, *args: Any) -> Any:
+        result = function(values, *args)
+        return result, result
+
+    program = compiled(jax.jacfwd(both, has_aux=True))
+
+    def run(values: Any, *args: Any) -> Any:
+        jacobian, value = program(np.asarray(values, float), *args)
         return value, jacobian
 
     return run
@@ -141,7 +148,7 @@ def thinned(
     return mask & kept
 
 
-def clamped_mean(light: Any, sigma: Any) -> Any:
+def clamped_mean(light: Any, sigma: float) -> Any:
     """Mean of noisy light after the clamp at black."""
     from scipy.special import ndtr
 

@@ -21,6 +21,7 @@ from jaxtyping import Array, Bool, Float, Int
 from phongfit.calibration.least_squares import (
     blocks,
     clamped_mean,
+    compiled,
     differentiated,
     robust_scale,
     summed_by_block,
@@ -287,12 +288,24 @@ def room_light(
     if not found:
         return np.zeros(3), np.zeros(3)
     shown, sigma = np.median(found, axis=0), np.median(noise, axis=0)
-    light, sigma = shown, np.maximum(sigma, 1e-12)
-    # The bias falls with light by less than half of it, so each step halves the error.
-    for _ in range(50):
-        light = np.maximum(light + shown - clamped_mean(light, sigma), 0)
+    light = np.array([_unclipped(*one) for one in zip(shown, sigma, strict=True)])
     scatter = [robust_scale(channel) for channel in (found - shown).T]
     return light, np.hypot(shown - light, scatter)
+
+
+def _unclipped(mean: float, sigma: float) -> float:
+    """Light that gives this mean after noise and the clamp at 0; 0 if none does."""
+    from scipy import optimize
+
+    def excess(light: float) -> float:
+        return clamped_mean(light, max(sigma, 1e-12)) - mean
+
+    if excess(0) >= 0:
+        return 0.0
+    if excess(mean) <= 0:
+        # No sample reaches the clamp, and the difference is rounding.
+        return mean
+    return optimize.root_scalar(excess, bracket=(0, mean)).root
 
 
 class _Line(NamedTuple):
@@ -325,44 +338,18 @@ def _line(light: np.ndarray, columns: np.ndarray, block: np.ndarray) -> _Line:
 
 
 class Shading(NamedTuple):
-    """Residuals of the shading, to first order in a step of lamps and sphere.
+    """Residuals of the shading, `root @ step - aim`, to first order in a step.
 
     A step of a lamp has two turns, a change of the inverse distance, and the move of
-    the sphere's place, which is common to all lamps. The residuals are `root @ step -
-    aim`, with variance 1; they are 0 for a photograph without information.
+    the sphere's place, which is common to all lamps. Residuals have variance 1; they
+    are 0 for a photograph without information.
 
     - `rank`: number of residuals with information.
-    - `strengths`: of the lamps at the reference point, in linear light, by channel;
-        with the sphere's unknown reflectance as a factor.
-    - `errors`: their standard errors with all else fixed, without rounding.
-    - `by_step`: their derivatives by the step.
-    - `by_room`: by the light of the room, in units of its error.
-    - `known`: true for strengths that the photograph determines.
     """
 
     root: Float[np.ndarray, "lamps 8 8"]
     aim: Float[np.ndarray, "lamps 8"]
     rank: int
-    strengths: Float[np.ndarray, "lamps 3"]
-    errors: Float[np.ndarray, "lamps 3"]
-    by_step: Float[np.ndarray, "lamps 3 8"]
-    by_room: Float[np.ndarray, "lamps 3"]
-    known: Bool[np.ndarray, "lamps 3"]
-
-
-def no_shading(count: int) -> Shading:
-    """The shading without information on any of some lamps."""
-    channels = np.zeros((count, 3))
-    return Shading(
-        np.zeros((count, 8, 8)),
-        np.zeros((count, 8)),
-        0,
-        channels,
-        np.ones((count, 3)),
-        np.zeros((count, 3, 8)),
-        channels.copy(),
-        np.zeros((count, 3), bool),
-    )
 
 
 def shade(
@@ -372,71 +359,93 @@ def shade(
     inverse_distances: Float[np.ndarray, " lamps"],
 ) -> Shading:
     """Linearise the shading of all lamps at an estimate of them and of the place."""
-    found, rank = no_shading(len(directions)), 0
-    lamps = zip(directions, tangents, inverse_distances, strict=True)
-    for number, lamp in enumerate(lamps):
+    points, count = matte.points, len(directions)
+    root, aim, rank = np.zeros((count, 8, 8)), np.zeros((count, 8)), 0
+    for number, lamp in enumerate(
+        zip(directions, tangents, inverse_distances, strict=True)
+    ):
         model, slopes = matte.lit_by(*lamp)
-        light = matte.points.light[number] - matte.ambient
-        white, block = matte.points.white[number], matte.points.block
-        for channel in range(3):
-            lit = (model > LIT) & ~white[:, channel]
-            if lit.sum() >= ENOUGH:
-                own = light[lit, channel], model[lit], slopes[lit], block[lit]
-                _add_strength(found, (number, channel), *own)
-        lit = (model > LIT) & ~white.any(axis=-1)
-        if lit.sum() >= ENOUGH:
-            own = light[lit].mean(axis=-1), model[lit], slopes[lit], block[lit]
-            root, aim = _condensed(*own)
-            found.root[number], found.aim[number] = root, aim
-            rank += int(root.any(axis=1).sum())
-    by_room = found.by_room * matte.ambient_error
-    errors = np.hypot(found.errors, EVEN * found.strengths)
-    return found._replace(rank=rank, errors=errors, by_room=by_room)
+        lit = (model > LIT) & ~points.white[number].any(axis=-1)
+        if lit.sum() < ENOUGH:
+            continue
+        light = (points.light[number, lit] - matte.ambient).mean(axis=-1)
+        model, block = model[lit], points.block[lit]
+        strength = _line(light, model[:, None], block).numbers[0]
+        slopes = strength * slopes[lit]
+        # Estimate errors from residuals of a fit of this lamp's numbers alone.
+        own = _line(light, np.column_stack([model, slopes[:, :3]]), block)
+        weight = np.sqrt(own.weights / own.inflation)
+        rows = weight[:, None] * np.column_stack([slopes, light - strength * model])
+        # Project out the strength, which is a free unknown.
+        axis = weight * model / np.linalg.norm(weight * model)
+        rows -= axis[:, None] * (axis @ rows)
+        left, values, right = np.linalg.svd(rows[:, :8], full_matrices=False)
+        kept = values > 3e-5 * values.max()
+        root[number] = (kept * values)[:, None] * right
+        aim[number] = kept * (left.T @ rows[:, 8])
+        rank += int(kept.sum())
+    return Shading(root, aim, rank)
 
 
-def _add_strength(
-    found: Shading,
-    at: tuple[int, int],
-    light: np.ndarray,
-    model: np.ndarray,
-    slopes: np.ndarray,
-    block: np.ndarray,
-) -> None:
-    """Add the strength of one lamp in one channel, `at`, and its derivatives."""
-    line, squared = _line(light, model[:, None], block), model @ model
-    # Derivative of the ratio of sums in the least squares solution.
-    by_model = light @ slopes - 2 * (model @ light / squared) * (model @ slopes)
-    found.strengths[at] = line.numbers[0]
-    found.errors[at] = np.sqrt(line.covariance[0, 0])
-    found.by_step[at] = by_model / squared
-    found.by_room[at] = -model.sum() / squared
-    found.known[at] = True
+class Strengths(NamedTuple):
+    """Strengths of lamps at the reference point, in linear light.
+
+    Strengths include the sphere's unknown reflectance as a factor.
+
+    - `intensity`: by lamp and channel; `nan` where a photograph has no information.
+    - `covariance`: of intensities, lamp by lamp, with fixed places of lamps and sphere.
+    - `slopes`: derivatives by these places, in the order of `joint` of
+        [`LampEstimate`][].
+    """
+
+    intensity: Float[np.ndarray, "lamps 3"]
+    covariance: Float[np.ndarray, "lamps*3 lamps*3"]
+    slopes: Float[np.ndarray, "lamps*3 lamps*3+5"]
 
 
-def _condensed(
-    light: np.ndarray, model: np.ndarray, slopes: np.ndarray, block: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals of one lamp's pixels as eight, of variance 1: root and aim."""
-    strength = _line(light, model[:, None], block).numbers[0]
-    slopes = strength * slopes
-    # Estimate errors from residuals of a fit of this lamp's numbers alone.
-    own = _line(light, np.column_stack([model, slopes[:, :3]]), block)
-    weight = np.sqrt(own.weights / own.inflation)
-    rows = weight[:, None] * np.column_stack([slopes, light - strength * model])
-    # Project out the strength, which is a free unknown.
-    axis = weight * model / np.linalg.norm(weight * model)
-    rows -= axis[:, None] * (axis @ rows)
-    left, values, right = np.linalg.svd(rows[:, :8], full_matrices=False)
-    kept = values > 3e-5 * values.max()
-    return (kept * values)[:, None] * right, kept * (left.T @ rows[:, 8])
-
-
-def rounding(
+def find_strengths(
     matte: Matte,
-    shading: Shading,
     directions: Float[np.ndarray, "lamps 3"],
     tangents: Float[np.ndarray, "lamps 2 3"],
     inverse_distances: Float[np.ndarray, " lamps"],
+) -> Strengths:
+    """Strengths of lamps at given places, and their derivatives by the places.
+
+    **Arguments:** as in [`LampEstimate`][].
+    """
+    points, count = matte.points, len(directions)
+    intensity, noise, by_room = (np.full((count, 3), np.nan) for _ in range(3))
+    slopes = np.zeros((count, 3, 3 * count + 5))
+    lamps = list(zip(directions, tangents, inverse_distances, strict=True))
+    for number, lamp in enumerate(lamps):
+        model, by_step = matte.lit_by(*lamp)
+        unknowns = np.append(3 * number + np.arange(3), 3 * count + np.arange(5))
+        for channel in range(3):
+            lit = (model > LIT) & ~points.white[number, :, channel]
+            if lit.sum() < ENOUGH:
+                continue
+            shown, slope = model[lit], by_step[lit]
+            light = points.light[number, lit, channel] - matte.ambient[channel]
+            line = _line(light, shown[:, None], points.block[lit])
+            strength, squared = _strength(shown, light), shown @ shown
+            # Derivative of the ratio of sums in the least squares solution.
+            by_model = light @ slope - 2 * strength * (shown @ slope)
+            slopes[number, channel, unknowns] = by_model / squared
+            intensity[number, channel] = line.numbers[0]
+            by_room[number, channel] = -shown.sum() / squared
+            noise[number, channel] = line.covariance[0, 0]
+    rounded = rounding(matte, lamps, intensity)
+    own = np.diag(np.maximum(np.nan_to_num(noise.ravel()) - np.diag(rounded), 0))
+    rooms = np.nan_to_num(by_room[:, :, None] * np.diag(matte.ambient_error))
+    rooms = rooms.reshape(-1, 3)
+    paint = np.kron(np.eye(count), np.ones((3, 1))) * intensity.reshape(-1, 1)
+    paint = EVEN * np.nan_to_num(paint)
+    covariance = own + rounded + rooms @ rooms.T + paint @ paint.T
+    return Strengths(intensity, covariance, slopes.reshape(3 * count, -1))
+
+
+def rounding(
+    matte: Matte, lamps: Any, strengths: Float[np.ndarray, "lamps 3"]
 ) -> Float[np.ndarray, "lamps*3 lamps*3"]:
     """Covariance of strengths due to the rounding of the photographs' files.
 
@@ -445,36 +454,53 @@ def rounding(
     [`restore`][] does: the model under each lamp, at slightly different brightness, is
     rounded like its file.
     """
-    film, size = matte.film, 3 * len(directions)
-    if film.jpeg is None:
-        # Pixels round independently, so the error of their mean is negligible.
+    film, size = matte.film, 3 * len(strengths)
+    if film.jpeg is None and (film.bits or 16) > 8:
         return np.zeros((size, size))
     outline = matte.place.outline
     stride = max(1, int(np.ceil(2 * outline[2] / SHRUNK)))
     height, width = matte.light.shape[1:3]
     rows, columns = np.mgrid[:height:stride, :width:stride]
     pixels = np.stack([columns, rows], axis=-1) + 0.5 + matte.corner
-    apart = np.linalg.norm(pixels - outline[:2], axis=-1, keepdims=True)
-    disc = apart < outline[2]
-    rng, errors = np.random.default_rng(0), np.zeros((DRAWS, len(directions), 3))
-    widest = film.jpeg.widest
-    shifts = rng.uniform(-widest, widest, (DRAWS, 3)).astype(np.float32)
-    shares = 1 - BRIGHTER * rng.uniform(size=DRAWS).astype(np.float32)
-    for number in np.flatnonzero(shading.known.all(axis=1)):
-        lamp = directions[number], tangents[number], inverse_distances[number]
-        at = pixels[disc[..., 0]], matte.place, matte.reference
-        shade = np.zeros(disc.shape)
-        shade[disc] = matte.model(np.zeros(8), *at, *lamp)[0]
-        own, around = shade * shading.strengths[number], matte.light[number]
-        canvas = np.where(disc, own + matte.ambient, around[::stride, ::stride])
-        weight = shade * ((apart < WITHIN * outline[2]) & (shade > LIT))
-        weight = weight * (canvas < WHITE)
-        squares = np.maximum((weight * shade).sum(axis=(0, 1)), 1e-12)
-        levels = 255 * np.asarray(encode(np.clip(canvas, 0, 1), film.encoding))
-        for draw, share, shift in zip(errors, shares, shifts, strict=True):
-            stored = compressed(share * levels.astype(np.float32) + shift, film.jpeg)
-            read = np.clip((stored - shift) / share / 255, 0, 1)
-            read = decode(read, film.encoding) - matte.ambient
-            draw[number] = (weight * (read - own)).sum(axis=(0, 1)) / squares
+    apart = np.linalg.norm(pixels - outline[:2], axis=-1)
+    disc, inside = apart < outline[2], apart < WITHIN * outline[2]
+    around = matte.light[:, ::stride, ::stride]
+    rng, errors = np.random.default_rng(0), np.zeros((DRAWS, len(strengths), 3))
+    model, models = compiled(functools.partial(_lambertian, matte.view)), []
+    for lamp in lamps:
+        shade = np.zeros((*disc.shape, 1))
+        at = pixels[disc], matte.place, matte.reference
+        shade[disc, 0] = model(np.zeros(8), *at, *lamp)
+        models.append(shade)
+    known = np.flatnonzero(np.isfinite(strengths).all(axis=1))
+    for draw in errors:
+        widest = 1.0 if film.jpeg is None else film.jpeg.widest
+        shift = rng.uniform(-widest, widest, 3).astype(np.float32)
+        share = np.float32(1 - BRIGHTER * rng.uniform())
+        for number in known:
+            shade, strength = models[number], strengths[number]
+            own = shade * strength + matte.ambient
+            canvas = np.where(disc[..., None], own, around[number])
+            read = _read_back(film, canvas, share, shift) - matte.ambient
+            weight = shade * (inside[..., None] & (shade > LIT) & (canvas < WHITE))
+            squares = np.maximum((weight * shade).sum(axis=(0, 1)), 1e-12)
+            draw[number] = (weight * (read - shade * strength)).sum(axis=(0, 1))
+            draw[number] /= squares
     flat = errors.reshape(DRAWS, size)
     return flat.T @ flat / DRAWS
+
+
+def _read_back(
+    film: Film, light: np.ndarray, share: np.float32, shift: np.ndarray
+) -> Float[np.ndarray, "height width 3"]:
+    """Light after a round trip through a file with slightly different levels."""
+    shown = np.clip(light, 0, 1).astype(np.float32)
+    levels = share * 255 * np.asarray(encode(shown, film.encoding), np.float32) + shift
+    stored = np.round(levels)
+    if film.jpeg is not None:
+        stored = compressed(levels, film.jpeg)
+    return decode(np.clip((stored - shift) / share / 255, 0, 1), film.encoding)
+
+
+def _strength(model: np.ndarray, light: np.ndarray) -> float:
+    return float(model @ light / (model @ model))

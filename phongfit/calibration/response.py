@@ -189,20 +189,25 @@ def fit_response(
 
     **Raises:** `ValueError` that names the argument, or if there are too few samples.
     """
+    count = len(photographs)
     if (scenes is None) == (exposures is None):
         raise ValueError(
             "scenes: expected it or exposures, got "
             + ("neither" if scenes is None else "both")
         )
     names = names_of(photographs, names)
-    given, what = (scenes, "scenes") if scenes else (exposures or (), "exposures")
-    if len(given) != len(photographs):
+    given = scenes if scenes is not None else exposures
+    assert given is not None
+    if len(given) != count:
+        what = "scenes" if scenes is not None else "exposures"
         raise ValueError(
-            f"{what}: expected {len(photographs)}, one a photograph, got {len(given)}"
+            f"{what}: expected {count}, one a photograph, got {len(given)}"
         )
-    if scenes:
-        return _fit(_of_surface(photographs, names, scenes, mask))
-    return _fit(_of_exposures(photographs, names, _positive(exposures), mask))
+    if scenes is not None:
+        samples = _of_surface(photographs, names, scenes, mask)
+    else:
+        samples = _of_exposures(photographs, names, _positive(exposures), mask)
+    return _fit(samples)
 
 
 class _Samples(NamedTuple):
@@ -236,20 +241,18 @@ def _positive(exposures: Any) -> Float[np.ndarray, " n"]:
     return found / found.mean()
 
 
-def _thinned(
-    photographs: Images, names: Sequence[str], used: Bool[np.ndarray, "height width"]
-) -> tuple[Bool[np.ndarray, "height width"], Float[np.ndarray, "count pixels 3"]]:
-    """A mask of a sample of the pixels in use, and their numbers in each photograph."""
-    used = thinned(used, MOST)
-    found, size = [], used.shape
+def _numbers(
+    photographs: Images, names: Sequence[str], mask: Any, size: tuple[int, int]
+) -> Float[np.ndarray, "count pixels 3"]:
+    found = []
     for image, name in zip(looked_at(photographs, names), names, strict=True):
         if image.shape[:2] != size:
             raise ValueError(
                 f"{name}: expected {size[1]} × {size[0]} pixels, as mask and scenes "
                 f"have, got {image.shape[1]} × {image.shape[0]}"
             )
-        found.append(np.asarray(image[used], float))
-    return used, np.stack(found)
+        found.append(np.asarray(image[mask], float))
+    return np.stack(found)
 
 
 def _of_surface(
@@ -259,36 +262,51 @@ def _of_surface(
     mask: Bool[np.ndarray, "height width"] | None,
 ) -> _Samples:
     for number, scene in enumerate(scenes):
-        if len(scene.lights) != 1 or not scene.lights[0].directed:
+        if len(scene.lights) != 1:
             raise ValueError(
-                f"scenes[{number}]: expected one lamp, got {len(scene.lights)} lights"
-                + (" from all around" if len(scene.lights) == 1 else "")
+                f"scenes[{number}]: expected one lamp, got {len(scene.lights)}"
+            )
+        if not scene.lights[0].directed:
+            raise ValueError(
+                f"scenes[{number}]: expected a lamp, got light from all around"
             )
     seen = scenes[0].trace()
     facing = np.sum(np.asarray(seen.normal) * np.asarray(seen.to_viewer), axis=-1)
-    facing = np.asarray(seen.mask) & (facing > FACING) & _as_mask(mask, facing.shape)
-    used, numbers = _thinned(photographs, names, facing)
-    normals, points = np.asarray(seen.normal)[used], jnp.asarray(seen.position)[used]
-    arriving = [jax.vmap(scene.lights[0].illuminate)(points) for scene in scenes]
-    cosines = np.stack([np.sum(normals * np.asarray(a.to_light), -1) for a in arriving])
-    cosines = cosines[..., None]
-    strengths = np.stack([np.asarray(a.intensity) for a in arriving])
+    used = np.asarray(seen.mask) & (facing > FACING)
+    if mask is not None:
+        used &= _as_mask(mask, used.shape)
+    used = thinned(used, MOST)
+    numbers = _numbers(photographs, names, used, used.shape)
+    normals, points = np.asarray(seen.normal)[used], np.asarray(seen.position)[used]
+    cosines = np.zeros(numbers.shape[:2])
+    shares = np.zeros(numbers.shape)
+    for number, scene in enumerate(scenes):
+        light = jax.vmap(scene.lights[0].illuminate)(jnp.asarray(points))
+        cosines[number] = np.sum(normals * np.asarray(light.to_light), axis=-1)
+        strength = np.asarray(light.intensity)
+        shares[number] = np.maximum(cosines[number], 0)[:, None] * strength
     block = blocks(*used.shape)[used]
     block = np.arange(len(numbers))[:, None] * (block.max() + 1) + block
-    _check_enough(
-        (cosines > LIT) & _in_range(numbers),
-        "too little is seen of a lit surface that is neither black nor white; is the "
-        "surface where the scenes have it?",
-    )
+    lit = (cosines[..., None] > LIT) & (numbers > DARKEST) & (numbers < BRIGHTEST)
+    if lit.sum() < 50 * SPLINES:
+        raise ValueError(
+            "photographs: too little is seen of a lit surface that is neither black "
+            "nor white; is the surface where the scenes have it?"
+        )
 
     def rows(values: np.ndarray) -> np.ndarray:
         """Values as rows, one for each photograph and channel."""
         every = np.broadcast_to(values, numbers.shape)
         return np.moveaxis(every, 2, 1).reshape(-1, every.shape[1])
 
-    share, sound = np.maximum(cosines, 0) * strengths, np.abs(cosines) > LIT
-    number, share, sound = rows(numbers), rows(share), rows(sound)
-    return _Samples(number, share, rows(block[..., None]), sound, True)
+    sound = np.abs(cosines) > LIT
+    return _Samples(
+        rows(numbers),
+        rows(shares),
+        rows(block[..., None]),
+        rows(sound[..., None]),
+        True,
+    )
 
 
 def _of_exposures(
@@ -297,16 +315,18 @@ def _of_exposures(
     exposures: Float[np.ndarray, " n"],
     mask: Bool[np.ndarray, "height width"] | None,
 ) -> _Samples:
-    every = _as_mask(mask, np.shape(photographs[0])[:2])
-    used, numbers = _thinned(photographs, names, every)
-    seen = _in_range(numbers)
+    size = np.shape(photographs[0])[:2]
+    used = np.ones(size, bool) if mask is None else _as_mask(mask, size)
+    used = thinned(used, MOST)
+    numbers = _numbers(photographs, names, used, (size[0], size[1]))
+    seen = (numbers > DARKEST) & (numbers < BRIGHTEST)
     # A pixel that is usable in a single photograph has no information.
     several = seen.sum(axis=0) > 1
-    _check_enough(
-        seen[:, several],
-        "too few pixels are neither black nor white in two of them: bracket by one or "
-        "two stops",
-    )
+    if seen[:, several].sum() < 50 * SPLINES:
+        raise ValueError(
+            "photographs: too few pixels are neither black nor white in two of them: "
+            "bracket by one or two stops"
+        )
     pixel, _ = np.nonzero(several)
     number = numbers[:, several].T
     share = np.broadcast_to(exposures, number.shape)
@@ -314,19 +334,8 @@ def _of_exposures(
     return _Samples(number, share, block, np.ones(number.shape, bool), False)
 
 
-def _in_range(numbers: np.ndarray) -> np.ndarray:
-    """Mask of numbers that are neither black nor white."""
-    return (numbers > DARKEST) & (numbers < BRIGHTEST)
-
-
-def _check_enough(usable: np.ndarray, words: str) -> None:
-    if usable.sum() < 50 * SPLINES:
-        raise ValueError(f"photographs: {words}")
-
-
 def _as_mask(mask: Any, size: tuple[int, ...]) -> Bool[np.ndarray, "height width"]:
-    """A mask of all pixels, or the given one."""
-    found = np.ones(size, bool) if mask is None else np.asarray(mask, bool)
+    found = np.asarray(mask, bool)
     if found.shape != tuple(size):
         raise ValueError(f"mask: expected shape {tuple(size)}, got {found.shape}")
     return found
@@ -417,18 +426,23 @@ def _fit(samples: _Samples) -> Response:
     count, freedom = np.count_nonzero(lit), _freedom(samples, lit) - SPLINES
     # No bound at 0 here, since the light of a dark room is uncertain.
     jacobian = residual(theta, samples, weights, -np.inf)[1][: rest.size]
+    root = np.sqrt(weights.used)
+    u = rest / (TUKEY * weights.sigma)
+    slope = np.where(lit & (np.abs(u) < 1), (1 - u**2) * (1 - 5 * u**2), 0)
+    # Loss of efficiency by weights: Huber, *Robust statistics*, 1981, section 7.6.
+    scores = weights.used * rest
+    variance = np.sum(scores**2) / freedom / (np.sum(slope) / count) ** 2
     data, smooth = jacobian.T @ jacobian, _basis()[1].T @ _basis()[1]
     held = np.linalg.inv(data + weights.stiff * weights.sigma**2 * smooth)
     known = held @ data
-    u = np.clip((rest / (TUKEY * weights.sigma)) ** 2, 0, 1)
-    # Loss of efficiency by weights: Huber, *Robust statistics*, 1981, section 7.6.
-    slope = np.sum(np.where(lit, (1 - u) * (1 - 5 * u), 0)) / count
-    variance = np.sum((weights.used * rest) ** 2) / freedom / slope**2
     # Inflation by correlated errors: excess variance of the sums of blocks.
-    each = (np.sqrt(weights.used) * rest).reshape(-1, 1) * jacobian
+    each = (root * rest).reshape(-1, 1) * jacobian
     together = summed_by_block(each, samples.block.ravel())
-    sizes = [np.sum((scores @ known.T @ held) * scores) for scores in (together, each)]
-    variance *= np.sum(weights.used) / count * max(float(sizes[0] / sizes[1]), 1.0)
+    bread = known @ held
+    inflation = np.trace(bread @ together.T @ together) / np.trace(
+        bread @ each.T @ each
+    )
+    variance *= np.sum(weights.used) / count * max(float(inflation), 1.0)
     covariance = np.linalg.inv(data / variance + weights.stiff * smooth)
 
     shown = (weights.used > 0) & (samples.share > 0)

@@ -93,7 +93,7 @@ class _Stored(AbstractImages):
         return read_image(self.paths[number], AS_STORED, white=self.white)
 
 
-def _of_matte(options: Options) -> tuple[Sequence[Path], dict[str, Any]]:
+def _of_matte(options: Options) -> tuple[list[Path], dict[str, Any]]:
     """Photographs of a matte sphere, and their scenes."""
     refuse(options, "exposures", "expected them or --matte, got both")
     data = open_captured(

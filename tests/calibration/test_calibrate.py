@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 import phongfit as pf
 from phongfit.calibration.lamps import solve_lamps
+from phongfit.calibration.matte import _unclipped
 from phongfit.calibration.spheres import find_ball
 from tests.calibration.studio import Ball, Studio, degrees, directions
 
@@ -183,7 +185,7 @@ def test_lamps_that_are_not_near(distant, monkeypatch, every):
         if not rounds:
             distances[: None if every else 1] = -0.1
         rounds.append(chosen)
-        return found._replace(at=found.at._replace(inverse_distances=distances))
+        return found._replace(inverse_distances=distances)
 
     monkeypatch.setattr("phongfit.calibration.calibrate.solve_lamps", solve)
     options = {"matte": None, "lamps": "near"}
@@ -345,3 +347,12 @@ def test_it_prints_as_a_table(found):
     text = str(found)
     assert text.startswith("photograph")
     assert "strength" in text and "spheres (pixels): chrome at" in text
+
+
+@pytest.mark.parametrize("ratio", [0, 0.3, 1, 3, 7.9, 8, 8.1, 8.3, 12])
+@pytest.mark.parametrize("sigma", [0.003, 0.01, 0.037])
+def test_light_is_found_from_the_mean_of_clamped_samples(ratio, sigma):
+    """The mean of max(light + noise, 0), in closed form."""
+    density = np.exp(-(ratio**2) / 2) / np.sqrt(2 * np.pi)
+    mean = sigma * (ratio * ndtr(ratio) + density)
+    assert _unclipped(mean, sigma) == pytest.approx(ratio * sigma, abs=1e-6)
