@@ -184,10 +184,14 @@ def _surface_words(surface: AbstractSurface) -> str:
 
 def _light_words(light: AbstractLight) -> tuple[str, str, str]:
     """Kind, position or direction, and intensity of a light, as far as it has these."""
-    parts = {name: np.asarray(part) for name, part in vars(light).items()}
-    places = [name for name in ("direction", "position", "axis") if name in parts]
-    where = ", ".join(f"{name} {_vector(parts[name])}" for name in places)
-    intensity = _numbers(parts["intensity"]) if "intensity" in parts else ""
+    shown = ("direction", "position", "axis", "intensity")
+    parts = {
+        name: np.asarray(vars(light)[name])
+        for name in shown
+        if vars(light).get(name) is not None
+    }
+    intensity = _numbers(parts.pop("intensity")) if "intensity" in parts else ""
+    where = ", ".join(f"{name} {_vector(part)}" for name, part in parts.items())
     return type(light).__name__, where, intensity
 
 

@@ -4,6 +4,7 @@
     Okabe and Ito, *Color universal design*, 2008: the colours.
 """
 
+import functools
 import io
 from pathlib import Path
 from typing import Any, Literal
@@ -44,7 +45,13 @@ def picture(
 
 def styled() -> Any:
     """A context that applies the style to figures, and then restores settings."""
-    return matplotlib.rc_context(fname=STYLE)
+    return matplotlib.rc_context(_settings())
+
+
+@functools.cache
+def _settings() -> matplotlib.RcParams:
+    """The settings of the style alone: all others stay the user's."""
+    return matplotlib.rc_params_from_file(STYLE, use_default_template=False)
 
 
 def png(figure: Figure, dpi: float) -> bytes:

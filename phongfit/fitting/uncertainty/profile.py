@@ -179,7 +179,7 @@ class _Held:
         # The profile is scaled, since the covariance differs from the inverse
         # curvature.
         ratios = (at_best.spread / at_best.stderr)[self.indices]
-        ratios = ratios[np.isfinite(ratios)]
+        ratios = ratios[np.isfinite(at_best.stderr[self.indices])]
         self.scale = float(np.mean(ratios)) ** 2 if len(ratios) else 1.0
         self.least = total_cost(self.problem, self.best)
 

@@ -175,6 +175,21 @@ def test_what_is_not_identifiable_has_its_box():
     assert profile.intervals == {0.99: (1, 1000), 0.999: (1, 1000)}
 
 
+def test_what_is_not_identifiable_does_not_scale_a_pair():
+    image = canonical.no_highlight().image
+    matte = pf.Material(0.5, 0.0, 20.0, 0.5)
+    unknowns = ("ambient", "diffuse", "shininess")
+    fit = pf.fit(SCENE, image, noise=NOISE, unknowns=unknowns, known=matte)
+    alone = fit.profile("diffuse.red")
+    pair = fit.profile("diffuse.red", "shininess")
+    # Any exponent will do, so the least over exponents is the profile of the other.
+    least = np.interp(pair.values[0], alone.values, alone.rise)
+    inner = (pair.values[0] > alone.values[0]) & (pair.values[0] < alone.values[-1])
+    inner &= least > 0.5
+    ratio = pair.rise.min(axis=1)[inner] / least[inner]
+    assert np.median(ratio) == pytest.approx(1, rel=0.1)
+
+
 @pytest.mark.slow
 def test_robust_losses_have_the_errors_that_they_state():
     image = photograph(SCENE, TRUTH, noise=NOISE)
