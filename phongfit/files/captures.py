@@ -174,8 +174,9 @@ def open_capture(
         images = names = [folder.name]
         listed, folder = None, folder.parent
         if lights is not None:
+            listed = read_camera_lp(lights)
             with naming(str(lights)):
-                listed = read_camera_lp(lights).only(names)
+                listed = listed.only(names)
     else:
         beside = {Path(p).resolve() for p in (ambient, flat) if p is not None}
         images = [p.name for p in images_in(folder) if p.resolve() not in beside]

@@ -15,7 +15,8 @@ them. If `extras` hold a material that phongfit wrote, that material is used unc
     *KHR_texture_transform*: a rotation is counter-clockwise, where v runs down.
 """
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,12 +37,14 @@ from phongfit.files.inputs import naming_field, shortened
 from phongfit.files.mtl_textures import Shaded
 from phongfit.files.records import validated
 from phongfit.files.schema import MaterialRecord
+from phongfit.files.strict_json import shorten
 from phongfit.material import Material
 from phongfit.rendering.film import NamedEncoding
 from phongfit.textures import Texture, Textures
 
 NEAREST, REPEAT, CLAMP = 9728, 10497, 33071
 WHITE = (1, 1, 1, 1)
+LARGEST = 1e30
 Record = dict[str, Any]
 """An object of the file's JSON."""
 
@@ -52,16 +55,45 @@ def at(file: Record, items: str, number: Any, what: str) -> Record:
     **Raises:** `ValueError` that names `what`, the key of the number.
     """
     found = file.get(items, [])
+    if not isinstance(found, list):
+        raise ValueError(f"{items}: expected a list, got {shorten(found)}")
     if not isinstance(number, int) or not 0 <= number < len(found):
-        raise ValueError(f"{what}: expected a number below {len(found)}, got {number}")
-    return found[number]
+        got = shorten(number)
+        raise ValueError(f"{what}: expected a number below {len(found)}, got {got}")
+    if not isinstance(item := found[number], dict):
+        got = shorten(item)
+        raise ValueError(f"{items}[{number}]: expected an object {{…}}, got {got}")
+    return item
 
 
-def _share(record: Record, name: str) -> float:
-    """A factor from 0 to 1; 1 if it is not stated."""
-    value = record.get(name, 1)
-    if not 0 <= value <= 1:
-        raise ValueError(f"{name}: expected 0 to 1, got {value}")
+def whole(record: Record, name: str, default: int | None = None) -> int:
+    """A count or an offset; `default` if it is not stated, else it is required."""
+    value = record.get(name, default)
+    if not isinstance(value, int) or value < 0:
+        got = shorten(value)
+        raise ValueError(f"{name}: expected a whole number ≥ 0, got {got}")
+    return value
+
+
+def vector(record: Record, name: str, default: Sequence[float]) -> np.ndarray:
+    """A list of numbers, as many as `default` has, which it is if it is not stated."""
+    value = record.get(name, list(default))
+    if not isinstance(value, list) or len(value) != len(default):
+        got = shorten(value)
+        raise ValueError(f"{name}: expected {len(default)} numbers, got {got}")
+    if not all(isinstance(x, int | float) and math.isfinite(x) for x in value):
+        raise ValueError(f"{name}: expected finite numbers, got {shorten(value)}")
+    return np.array(value, float)
+
+
+def _number(
+    record: Record, name: str, default: float = 1, least: float = 0, most: float = 1
+) -> float:
+    """A number in a range, usually a factor from 0 to 1."""
+    value = record.get(name, default)
+    if not isinstance(value, int | float) or not least <= value <= most:
+        got = shorten(value)
+        raise ValueError(f"{name}: expected {least:g} to {most:g}, got {got}")
     return float(value)
 
 
@@ -139,6 +171,8 @@ class Shading:
         **Raises:** `ValueError` that describes the error.
         """
         name, extensions = material.get("name"), material.get("extensions", {})
+        if not isinstance(name, str | None):
+            raise ValueError(f"name: expected a text, got {shorten(name)}")
         self._name = "a material" if name is None else f"material {name[:60]!r}"
         self._placing, self._leaves, self._textures = None, {}, {}
         own, multiplied = _own(material), COLOUR_0
@@ -154,15 +188,15 @@ class Shading:
                 "specular reflectance)"
             ] = None
         strength = extensions.get("KHR_materials_emissive_strength", {})
-        factor = np.array(material.get("emissiveFactor", [0, 0, 0]), float)
-        factor *= strength.get("emissiveStrength", 1)
+        factor = vector(material, "emissiveFactor", (0, 0, 0))
+        factor *= _number(strength, "emissiveStrength", most=LARGEST)
         info = material.get("emissiveTexture") if factor.any() else None
         glow = self._open("emissiveTexture", info, "srgb")
         self._put("emission", glow.part(RGB), factor)
         if (info := material.get("normalTexture")) is not None:
             bumps = self._open("normalTexture", info, "linear")
             if bumps.sampled is not None:
-                scale = info.get("scale", 1)
+                scale = _number(info, "scale", 1, -LARGEST, LARGEST)
                 values = (2 * bumps.values[..., RGB] - 1) * [scale, scale, 1]
                 self._hold(values)
                 self._textures["normal"] = Texture(values, **bumps.sampled)
@@ -179,7 +213,7 @@ class Shading:
         extensions = material.get("extensions", {})
         base = self._texture(pbr, "baseColorTexture", "srgb")
         rough = self._texture(pbr, "metallicRoughnessTexture", "linear")
-        metallic = _share(pbr, "metallicFactor")
+        metallic = _number(pbr, "metallicFactor")
         if "metallicRoughnessTexture" in pbr and rough.sampled is None:
             # Without its texture the factor's default, 1, would make it a metal.
             metallic = 0.0
@@ -187,16 +221,16 @@ class Shading:
         metal = rough.part(BLUE, metallic)
         is_metal = bool(metal.values.any())
         metal = metal if is_metal else _Map(np.zeros(1))
-        factor = pbr.get("baseColorFactor", WHITE)
+        factor = vector(pbr, "baseColorFactor", WHITE)
         self._coloured(base, factor, metal)
         given = extensions.get("KHR_materials_specular", {})
         tint = self._texture(given, "specularColorTexture", "srgb")
         weight = self._texture(given, "specularTexture", "linear")
-        specular = _share(given, "specularFactor")
-        ior = extensions.get("KHR_materials_ior", {}).get("ior", 1.5)
+        specular = _number(given, "specularFactor")
+        ior = _number(extensions.get("KHR_materials_ior", {}), "ior", 1.5, most=1000)
         f0 = self._mapped(
             lambda tint, weight: tint * weight,
-            tint.part(RGB, given.get("specularColorFactor", WHITE[:3])),
+            tint.part(RGB, vector(given, "specularColorFactor", WHITE[:3])),
             weight.part(ALPHA, specular * ((ior - 1) / (ior + 1)) ** 2),
         )
         if is_metal:
@@ -204,7 +238,7 @@ class Shading:
                 lambda f0, base, metal: (1 - metal) * f0 + metal * base,
                 *(f0, base.part(RGB, factor[:3]), metal),
             )
-        f = self._mapped(exponents, rough.part(GREEN, _share(pbr, "roughnessFactor")))
+        f = self._mapped(exponents, rough.part(GREEN, _number(pbr, "roughnessFactor")))
         if own is not None and rough.sampled is None:
             f = _Map(np.atleast_1d(np.asarray(own.shininess, float)))
         self._highlight(f0, f)
@@ -212,14 +246,14 @@ class Shading:
 
     def _glossy(self, gloss: Record) -> None:
         base = self._texture(gloss, "diffuseTexture", "srgb")
-        self._coloured(base, gloss.get("diffuseFactor", WHITE), _Map(np.zeros(1)))
+        self._coloured(base, vector(gloss, "diffuseFactor", WHITE), _Map(np.zeros(1)))
         both = self._texture(gloss, "specularGlossinessTexture", "srgb")
-        glossiness = both.part(ALPHA, _share(gloss, "glossinessFactor"))
+        glossiness = both.part(ALPHA, _number(gloss, "glossinessFactor"))
         f = self._mapped(lambda glossiness: exponents(1 - glossiness), glossiness)
-        factor = gloss.get("specularFactor", WHITE[:3])
+        factor = vector(gloss, "specularFactor", WHITE[:3])
         self._highlight(both.part(RGB, factor), f)
 
-    def _coloured(self, base: _Map, factor: list[float], metal: _Map) -> None:
+    def _coloured(self, base: _Map, factor: np.ndarray, metal: _Map) -> None:
         colour = base.part(RGB)
         self._put("ambient", colour, factor[:3])
         if metal.values.any():
@@ -286,10 +320,10 @@ class Shading:
         texture = at(self._file, "textures", info["index"], f"{what}.index")
         transform = info.get("extensions", {}).get("KHR_texture_transform", {})
         placing = Placing(
-            transform.get("texCoord", info.get("texCoord", 0)),
-            tuple(transform.get("offset", (0, 0))),
-            transform.get("rotation", 0),
-            tuple(transform.get("scale", (1, 1))),
+            whole(transform, "texCoord", whole(info, "texCoord", 0)),
+            tuple(vector(transform, "offset", (0, 0)).tolist()),
+            _number(transform, "rotation", 0, -LARGEST, LARGEST),
+            tuple(vector(transform, "scale", (1, 1)).tolist()),
         )
         if self._placing not in (None, placing):
             self._unused[f"{told} (its uv differ from those of another)"] = None

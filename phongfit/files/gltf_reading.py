@@ -15,6 +15,7 @@ uv; and it drops fans, tangents, samplers and transforms of textures.
 
 import base64
 import binascii
+import contextlib
 import math
 import struct
 from collections.abc import Iterable, Iterator
@@ -27,7 +28,7 @@ from scipy.spatial.transform import Rotation
 
 from phongfit.files.budget import afford
 from phongfit.files.gltf import COLOUR_0, COLOURS
-from phongfit.files.gltf_materials import GltfShade, Shading, at
+from phongfit.files.gltf_materials import GltfShade, Shading, at, vector, whole
 from phongfit.files.inputs import Note, inside, listed, naming, read_bytes, reason
 from phongfit.files.mesh_parts import UNNAMED, MeshPart, apart, white
 from phongfit.files.mtl_textures import Shaded
@@ -66,28 +67,49 @@ def read_gltf(path: Path, note: Note) -> list[MeshPart]:
     """
     data = read_bytes(path)
     text, binary = _chunks(data) if path.suffix.lower() == ".glb" else (data, None)
-    file = parse_json(text)
-    try:
+    file = _tidied(parse_json(text))
+    with _reading("asset"):
         if not file["asset"]["version"].startswith("2."):
             raise ValueError(f"expected glTF 2, got {file['asset']['version'][:20]!r}")
+    with _reading("extensionsRequired"):
         for name in file.get("extensionsRequired", []):
             if not name.startswith(REQUIRED):
                 raise ValueError(
                     f"requires the extension {name[:60]!r}, which is not read: export "
                     "it without"
                 )
-        reader = _Reader(file, path.parent, binary)
-        parts = list(reader.parts())
-        if lost := [*reader.unused, *dict.fromkeys(_unused(file))]:
-            note(f"not used: {listed(lost)}")
-        names = _unique_names(file, dict.fromkeys(number for number, _ in parts))
-    except (ArithmeticError, AttributeError, LookupError, TypeError) as error:
-        # Files are written by programs: one sentence is enough for any other fault.
-        what = f"{type(error).__name__}: {reason(error)}"
-        raise ValueError(f"is no valid glTF ({what})") from error
+    reader = _Reader(file, path.parent, binary)
+    parts = list(reader.parts())
+    with _reading("meshes, materials and extensionsUsed"):
+        lost = [*reader.unused, *dict.fromkeys(_unused(file))]
+    if lost:
+        note(f"not used: {listed(lost)}")
+    names = _unique_names(file, dict.fromkeys(number for number, _ in parts))
     return [
         part._replace(name=names[number]) for number, part in parts if len(part.faces)
     ]
+
+
+def _tidied(value: Any) -> Any:
+    """JSON in which a key with `null` is absent, and 3.0 is the integer 3."""
+    if isinstance(value, dict):
+        return {key: _tidied(one) for key, one in value.items() if one is not None}
+    if isinstance(value, list):
+        return [_tidied(one) for one in value]
+    small = isinstance(value, float) and abs(value) < 2**53
+    return int(value) if small and value.is_integer() else value
+
+
+@contextlib.contextmanager
+def _reading(place: str) -> Iterator[None]:
+    """Name the place of an error in the file, also of one that Python raises."""
+    with naming(place):
+        try:
+            yield
+        except (ArithmeticError, AttributeError, LookupError, TypeError) as error:
+            # Files are written by programs: one sentence is enough for other faults.
+            what = f"{type(error).__name__}: {reason(error)}"
+            raise ValueError(f"is no valid glTF ({what})") from error
 
 
 def _unused(file: dict[str, Any]) -> Iterator[str]:
@@ -163,33 +185,37 @@ class _Reader:
             return
         seen: set[int] = set()
         scene = at(file, "scenes", file.get("scene", 0), "scene")
-        left = [(root, np.eye(4)) for root in scene.get("nodes", [])]
+        with _reading("scenes"):
+            left = [(root, np.eye(4)) for root in scene.get("nodes", [])]
         while left:
             number, outer = left.pop()
             node = at(file, "nodes", number, "nodes")
             if number in seen:
                 raise ValueError(f"nodes[{number}]: expected one parent, got two")
             seen.add(number)
-            with naming(f"nodes[{number}]"):
+            with _reading(f"nodes[{number}]"):
                 matrix = outer @ _transform(node)
                 if not np.isfinite(matrix).all():
                     raise ValueError("expected a finite transformation")
-            left += [(child, matrix) for child in node.get("children", [])]
+                left += [(child, matrix) for child in node.get("children", [])]
             if "mesh" not in node:
                 continue
             mesh = at(file, "meshes", node["mesh"], "mesh")
-            for k, primitive in enumerate(mesh["primitives"]):
+            with _reading(f"meshes[{node['mesh']}].primitives"):
+                primitives = [dict(one) for one in mesh["primitives"]]
+            for k, primitive in enumerate(primitives):
                 # Nodes that share a mesh may have more primitives than the file.
                 self._made += VISIT
                 afford(self._made, "primitives")
-                if primitive.get("mode", TRIANGLES) not in (TRIANGLES, STRIP, FAN):
-                    self.unused["points and lines"] = None
-                    continue
                 with naming(f"meshes[{node['mesh']}].primitives[{k}]"):
-                    yield primitive.get("material"), self._part(primitive, matrix)
+                    if whole(primitive, "mode", TRIANGLES) in (TRIANGLES, STRIP, FAN):
+                        yield primitive.get("material"), self._part(primitive, matrix)
+                    else:
+                        self.unused["points and lines"] = None
 
     def _part(self, primitive: dict[str, Any], matrix: np.ndarray) -> MeshPart:
-        left = dict(primitive["attributes"])
+        with _reading("attributes"):
+            left = dict(primitive["attributes"])
         local = self._attribute(left, "POSITION", "VEC3")
         if local is None:
             raise ValueError("attributes.POSITION: is missing")
@@ -239,7 +265,7 @@ class _Reader:
     def _shade(self, number: int) -> GltfShade:
         material = at(self._file, "materials", number, "material")
         if number not in self.shades:
-            with naming(f"materials[{number}]"):
+            with _reading(f"materials[{number}]"):
                 self.shades[number] = self._shading.read(material)
         return self.shades[number]
 
@@ -296,24 +322,19 @@ class _Reader:
     def _indices(self, number: int, vertices: int) -> np.ndarray:
         numbers, _ = self._array(number, "SCALAR")
         with naming(f"accessors[{number}]"):
-            if numbers.dtype.kind != "u":
-                raise ValueError(f"expected whole numbers, got {numbers.dtype}")
-            corners = numbers[:, 0].astype(np.int64)
-            if len(corners) and corners.max() >= vertices:
-                raise ValueError(
-                    f"expected indices below {vertices}, got {corners.max()}"
-                )
-            return corners
+            return _below(numbers, vertices)
 
     def _array(self, number: int, *kinds: str) -> tuple[np.ndarray, bool]:
         """The rows of an accessor of one of these types, and its `normalized` flag."""
-        with naming(f"accessors[{number}]"):
+        with _reading(f"accessors[{number}]"):
             accessor = at(self._file, "accessors", number, "number")
             kind = accessor["type"]
             if kind not in kinds:
                 raise ValueError(f"type: expected {' or '.join(kinds)}, got {kind!r}")
             dtype = np.dtype(_TYPES[accessor["componentType"]])
-            shape = accessor["count"], _SIZES[kind]
+            shape = whole(accessor, "count"), _SIZES[kind]
+            if not isinstance(accessor.get("normalized", False), bool):
+                raise ValueError("normalized: expected true or false")
             few = accessor.get("sparse")
             if "bufferView" in accessor:
                 rows = self._rows(accessor, dtype, shape)
@@ -326,11 +347,12 @@ class _Reader:
                 )
             if few is not None:
                 with naming("sparse"):
-                    whole = np.dtype(_TYPES[few["indices"]["componentType"]])
-                    which = self._rows(few["indices"], whole, (few["count"], 1))[:, 0]
+                    count = whole(few, "count")
+                    of_indices = np.dtype(_TYPES[few["indices"]["componentType"]])
+                    which = self._rows(few["indices"], of_indices, (count, 1))
                     rows = rows.copy()
-                    rows[which] = self._rows(
-                        few["values"], dtype, (few["count"], shape[1])
+                    rows[_below(which, shape[0])] = self._rows(
+                        few["values"], dtype, (count, shape[1])
                     )
             return rows, accessor.get("normalized", False)
 
@@ -338,12 +360,12 @@ class _Reader:
         self, place: dict[str, Any], dtype: np.dtype, shape: tuple[int, int]
     ) -> np.ndarray:
         """Rows of numbers in the view at a place, without a copy."""
-        view, start = place["bufferView"], place.get("byteOffset", 0)
+        view, start = place["bufferView"], whole(place, "byteOffset", 0)
         data = self._view(view)
         row = shape[1] * dtype.itemsize
-        stride = self._file["bufferViews"][view].get("byteStride") or row
+        stride = whole(self._file["bufferViews"][view], "byteStride", 0) or row
         needed = start + max(shape[0] - 1, 0) * stride + row
-        if stride < row or start < 0 or needed > len(data):
+        if stride < row or needed > len(data):
             raise ValueError(
                 f"bufferView: expected {needed} bytes in bufferViews[{view}], got "
                 f"{len(data)}"
@@ -353,9 +375,9 @@ class _Reader:
     def _view(self, number: int) -> memoryview:
         cut = at(self._file, "bufferViews", number, "bufferView")
         with naming(f"bufferViews[{number}]"):
-            data, start = self._buffer(cut["buffer"]), cut.get("byteOffset", 0)
-            end = start + cut["byteLength"]
-            if not 0 <= start <= end <= len(data):
+            data, start = self._buffer(cut["buffer"]), whole(cut, "byteOffset", 0)
+            end = start + whole(cut, "byteLength")
+            if end > len(data):
                 raise ValueError(
                     f"expected bytes {start} to {end}, got {len(data)} in "
                     f"buffers[{cut['buffer']}]"
@@ -371,7 +393,8 @@ class _Reader:
                     content = self._named(buffer.get("uri", ""))
             self._read += len(content)
             afford(self._read, "buffers")
-            self._buffers[number] = content[: buffer["byteLength"]]
+            with naming(f"buffers[{number}]"):
+                self._buffers[number] = content[: whole(buffer, "byteLength")]
         return self._buffers[number]
 
     def _image(self, number: int) -> tuple[bytes, Path]:
@@ -407,14 +430,26 @@ _SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 def _transform(node: dict[str, Any]) -> np.ndarray:
     """Matrix from a node's axes to its parent's, from `matrix` or from T R S."""
     if "matrix" in node:
-        return np.array(node["matrix"], float).reshape(4, 4).T
-    matrix, rotation = np.eye(4), node.get("rotation", [0, 0, 0, 1])
+        return vector(node, "matrix", [0] * 16).reshape(4, 4).T
+    matrix, rotation = np.eye(4), vector(node, "rotation", (0, 0, 0, 1))
     if not math.isfinite(length := math.hypot(*rotation)) or length == 0:
-        raise ValueError(f"rotation: expected a unit quaternion, got {rotation}")
-    turn = Rotation.from_quat(np.array(rotation) / length).as_matrix()
-    matrix[:3, :3] = turn * np.array(node.get("scale", [1, 1, 1]), float)
-    matrix[:3, 3] = node.get("translation", [0, 0, 0])
+        raise ValueError(
+            f"rotation: expected a unit quaternion, got {rotation.tolist()}"
+        )
+    turn = Rotation.from_quat(rotation / length).as_matrix()
+    matrix[:3, :3] = turn * vector(node, "scale", (1, 1, 1))
+    matrix[:3, 3] = vector(node, "translation", (0, 0, 0))
     return matrix
+
+
+def _below(numbers: np.ndarray, limit: int) -> np.ndarray:
+    """The indices in the only column of an array, all below a limit."""
+    if numbers.dtype.kind != "u":
+        raise ValueError(f"expected whole numbers from 0, got {numbers.dtype}")
+    indices = numbers[:, 0].astype(np.int64)
+    if len(indices) and indices.max() >= limit:
+        raise ValueError(f"expected indices below {limit}, got {indices.max()}")
+    return indices
 
 
 def _triangles(corners: np.ndarray, mode: int) -> np.ndarray:

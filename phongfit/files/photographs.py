@@ -184,7 +184,8 @@ def images_in(folder: Path) -> list[Path]:
     **Raises:** `ValueError` that names the folder, if it is missing.
     """
     if not folder.is_dir():
-        raise ValueError(f"{folder}: there is no such folder")
+        what = "folder" if folder.exists() else "file or folder"
+        raise ValueError(f"{folder}: there is no such {what}")
     return [
         path
         for path in folder.iterdir()

@@ -32,8 +32,9 @@ NUMBERS = (
     *("camera_angle_x", "camera_angle_y", "fl_x", "fl_y", "cx", "cy", "w", "h"),
     *("k1", "k2", "k3", "k4", "p1", "p2"),
 )
-"""Keys of a camera's numbers, given once for all frames or in each frame."""
-KNOWN = {*NUMBERS, "is_fisheye", "camera_model", "file_path", "transform_matrix"}
+COMMON = {*NUMBERS, "is_fisheye", "camera_model"}
+"""Keys given once for all frames or in each frame; `null` is the same as absent."""
+OF_FRAME = {*COMMON, "file_path", "transform_matrix"}
 
 Frame = dict[str, Any]
 
@@ -48,11 +49,12 @@ def load_transforms(path: Path) -> dict[str, PinholeCamera]:
     """
     text = read_text(path)
     with naming(str(path)):
-        common = parse_json(text)
-        frames = common.pop("frames", None) if isinstance(common, dict) else None
+        top = parse_json(text)
+        frames = top.pop("frames", None) if isinstance(top, dict) else None
         if not isinstance(frames, list) or not 0 < len(frames) <= MOST:
             raise ValueError(f"frames: expected at least one and at most {MOST}")
         afford(CAMERA * len(frames), f"{len(frames)} cameras")
+        common = {key: value for key, value in top.items() if key in COMMON}
         made: dict[str, PinholeCamera] = {}
         for at, frame in enumerate(frames):
             with naming(f"frames[{at}]"):
@@ -61,7 +63,8 @@ def load_transforms(path: Path) -> dict[str, PinholeCamera]:
                 if name in made:
                     raise ValueError(f"file_path: {shorten(name)} comes twice")
                 made[name] = _camera(path.parent, name, merged)
-    keys = [key for record in (common, *frames) for key in record if key not in KNOWN]
+    keys = [key for key in top if key not in COMMON]
+    keys += [key for frame in frames for key in frame if key not in OF_FRAME]
     if unused := list(dict.fromkeys(keys)):
         named = listed([shorten(key) for key in unused], FEW, "more")
         remedy = "Check that none of these changes what a camera sees"
@@ -73,12 +76,17 @@ def _checked(common: Frame, frame: Any) -> Frame:
     """A frame with the keys that are common to all, of the right types."""
     if not isinstance(frame, dict):
         raise ValueError(f"expected an object {{…}}, got {shorten(frame)}")
-    merged = common | frame
+    both = common | frame
+    merged = {key: value for key, value in both.items() if value is not None}
     for key in NUMBERS:
         value = merged.get(key, 0)
-        if not isinstance(value, int | float) or isinstance(value, bool):
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not number or not math.isfinite(value):
             raise ValueError(f"{key}: expected a number, got {shorten(value)}")
-    if not isinstance(merged.get("file_path"), str):
+    if not isinstance(fisheye := merged.get("is_fisheye", False), bool):
+        raise ValueError(f"is_fisheye: expected true or false, got {shorten(fisheye)}")
+    name = merged.get("file_path")
+    if not isinstance(name, str) or not PureWindowsPath(name).name:
         raise ValueError("file_path: expected a file's name")
     rows = merged.get("transform_matrix")
     matrix = np.array(rows if isinstance(rows, list) else 0, dtype=object)

@@ -151,7 +151,8 @@ FRAME = {"file_path": "./images/a.png", "transform_matrix": MATRIX.tolist()}
 
 def write_transforms(folder, *frames, **common):
     content = common | {"frames": list(frames or (FRAME,))}
-    (folder / "transforms.json").write_text(json.dumps(content))
+    text = json.dumps(content).replace("Infinity", "1e999")
+    (folder / "transforms.json").write_text(text)
     return folder / "transforms.json"
 
 
@@ -219,6 +220,9 @@ SIZED = dict(fl_x=10, w=8, h=6)
         ({"transform_matrix": [[1, 2]]}, SIZED, "transform_matrix: expected four rows"),
         ({"transform_matrix": np.ones((4, 4)).tolist()}, SIZED, "to_world: expected"),
         ({"transform_matrix": 7}, SIZED, "transform_matrix"),
+        ({}, SIZED | {"w": math.inf}, "w: expected a number"),
+        ({}, SIZED | {"is_fisheye": "false"}, "is_fisheye: expected true or false"),
+        ({"file_path": ""}, SIZED, "file_path: expected a file's name"),
     ],
 )
 def test_broken_transforms(frame, common, words, tmp_path):
@@ -226,6 +230,24 @@ def test_broken_transforms(frame, common, words, tmp_path):
     with pytest.raises(ValueError, match=words) as raised:
         pf.load_cameras(path)
     assert str(path) in str(raised.value) and "\n" not in str(raised.value)
+
+
+def test_null_is_as_if_absent(tmp_path):
+    absent = dict.fromkeys(("fl_y", "cx", "cy", "camera_angle_x", "camera_model"))
+    path = write_transforms(tmp_path, FRAME | absent, **SIZED)
+    (found,) = pf.load_cameras(path).values()
+    near([found.fx, found.fy, found.cx, found.cy], [10, 10, 4, 3])
+
+
+@pytest.mark.parametrize("key", ["transform_matrix", "file_path"])
+def test_a_key_of_frames_at_the_top_is_not_used(key, tmp_path):
+    top = SIZED | {key: FRAME[key]}
+    path = write_transforms(tmp_path, **top)
+    with pytest.warns(UserWarning, match=f"not used: .*{key}"):
+        pf.load_cameras(path)
+    path = write_transforms(tmp_path, FRAME | {key: None}, **top)
+    with pytest.raises(ValueError, match=f"{key}: expected"):
+        pf.load_cameras(path)
 
 
 def test_a_frame_that_comes_twice(tmp_path):

@@ -112,8 +112,11 @@ def test_an_exposure_that_one_photograph_does_not_state(tmp_path):
 
 
 def test_bad_folders(folder, tmp_path):
-    with pytest.raises(ValueError, match="there is no such folder"):
-        pf.open_capture(tmp_path / "nowhere")
+    with pytest.raises(ValueError, match="there is no such file or folder"):
+        pf.open_capture(tmp_path / "nowhere.jpg")
+    missing = tmp_path / "no.lp"
+    with pytest.raises(ValueError, match=rf"^{missing}: cannot be read"):
+        pf.open_capture(folder / "img1.jpg", lights=missing)
     pf.write_lp(folder / "a.lp", ["other.jpg", "img1.jpg"], np.eye(3)[:2] + 1)
     with pytest.raises(ValueError, match="1 of the 2 photographs .* other.jpg first"):
         pf.open_capture(folder)

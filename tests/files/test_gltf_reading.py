@@ -35,6 +35,17 @@ def _accessor(**changes) -> list[dict[str, Any]]:
     return [{key: value for key, value in whole.items() if value is not None}]
 
 
+def _primitive(**changes) -> dict[str, Any]:
+    """The JSON of [`_triangle`][], with other entries in its primitive."""
+    primitive = {"attributes": {"POSITION": 0}} | changes
+    return _triangle(meshes=[{"primitives": [primitive]}])
+
+
+def _material(**material) -> dict[str, Any]:
+    """The JSON of [`_triangle`][], with a material."""
+    return _primitive(material=0) | {"materials": [material]}
+
+
 WRONG_GLTF = {
     "no view": (
         _triangle(accessors=_accessor(bufferView=None, count=2**30)),
@@ -54,7 +65,7 @@ WRONG_GLTF = {
     ),
     "negative": (
         _triangle(accessors=_accessor(count=-1)),
-        r"accessors\[0\]: strides is incompatible",
+        r"accessors\[0\]: count: expected a whole number ≥ 0, got -1",
     ),
     "Draco": (
         _triangle(extensionsRequired=["KHR_draco_mesh_compression"]),
@@ -66,11 +77,86 @@ WRONG_GLTF = {
     ),
     "before a view": (
         _triangle(accessors=_accessor(byteOffset=-12)),
-        r"bufferView: expected 24 bytes .*, got 36",
+        r"accessors\[0\]: byteOffset: expected a whole number ≥ 0, got -12",
     ),
-    "no list": (_triangle(nodes={"a": 1}), r"is no valid glTF \(KeyError: 0\)"),
-    "no number": (_triangle(accessors=_accessor(count="3")), "is no valid glTF"),
-    "no key": (_triangle(accessors=[{}]), r"is no valid glTF \(KeyError: 'type'\)"),
+    "no list": (_triangle(nodes={"a": 1}), r"nodes: expected a list, got {\"a\": 1}"),
+    "no number": (
+        _triangle(accessors=_accessor(count="3")),
+        r"accessors\[0\]: count: expected a whole number ≥ 0, got \"3\"",
+    ),
+    "no key": (
+        _triangle(accessors=[{}]),
+        r"accessors\[0\]: is no valid glTF \(KeyError: 'type'\)",
+    ),
+    "no length": (
+        _triangle(buffers=[{"byteLength": -1, "uri": "data:;base64,"}]),
+        r"buffers\[0\]: byteLength: expected a whole number ≥ 0, got -1",
+    ),
+    "a flag in words": (
+        _triangle(accessors=_accessor(normalized="false")),
+        r"accessors\[0\]: normalized: expected true or false",
+    ),
+    "a list as a name": (_material(name=["a"]), r"materials\[0\]: name: expected"),
+    "a mode in words": (
+        _primitive(mode="4"),
+        r"meshes\[0\].primitives\[0\]: mode: expected a whole number ≥ 0, got \"4\"",
+    ),
+    "one number": (
+        _triangle(nodes=[{"mesh": 0, "translation": [5]}]),
+        r"nodes\[0\]: translation: expected 3 numbers, got \[5\]",
+    ),
+    "rows": (
+        _triangle(nodes=[{"mesh": 0, "matrix": np.eye(4).tolist()}]),
+        r"nodes\[0\]: matrix: expected 16 numbers",
+    ),
+    "sparse": (
+        _triangle(
+            accessors=_accessor(
+                sparse={
+                    "count": 1,
+                    "indices": {"bufferView": 0, "componentType": 5122},
+                    "values": {"bufferView": 0},
+                }
+            )
+        ),
+        r"accessors\[0\]: sparse: expected whole numbers from 0, got int16",
+    ),
+    "past the rows": (
+        _triangle(
+            accessors=_accessor(
+                sparse={
+                    "count": 1,
+                    "indices": {
+                        "bufferView": 0,
+                        "byteOffset": 15,
+                        "componentType": 5121,
+                    },
+                    "values": {"bufferView": 0},
+                }
+            )
+        ),
+        r"accessors\[0\]: sparse: expected indices below 3, got 63",
+    ),
+    "a mirror": (
+        _material(extensions={"KHR_materials_ior": {"ior": -0.9}}),
+        r"materials\[0\]: ior: expected 0 to 1000, got -0.9",
+    ),
+    "one colour": (
+        _material(emissiveFactor=[1]),
+        r"materials\[0\]: emissiveFactor: expected 3 numbers, got \[1\]",
+    ),
+    "five colours": (
+        _material(pbrMetallicRoughness={"baseColorFactor": [1] * 5}),
+        r"materials\[0\]: baseColorFactor: expected 4 numbers",
+    ),
+    "a number of words": (
+        _material(pbrMetallicRoughness={"metallicFactor": "1"}),
+        r"materials\[0\]: metallicFactor: expected 0 to 1, got \"1\"",
+    ),
+    "no objects": (
+        _material(pbrMetallicRoughness=[]),
+        r"materials\[0\]: is no valid glTF \(AttributeError",
+    ),
     "version 1": (_triangle(asset={"version": "1.0"}), "expected glTF 2, got '1.0'"),
     "empty": ("", "is no JSON"),
     "cut": ("{", "is no JSON"),
@@ -86,6 +172,29 @@ def test_gltf_that_says_what_it_does_not_hold(tmp_path, case):
     (tmp_path / "x.gltf").write_text(text)
     with pytest.raises(ValueError, match=rf"x\.gltf: .*{said}"):
         pf.load_mesh(tmp_path / "x.gltf")
+
+
+def test_gltf_of_floats_and_null(tmp_path):
+    """As programs write it that know only floats, and every key."""
+    content = _material(
+        name=None,
+        emissiveTexture=None,
+        normalTexture={
+            "index": 0.0,
+            "extensions": {"KHR_texture_transform": {"texCoord": None}},
+        },
+    ) | {
+        "nodes": [{"mesh": 0.0, "matrix": None, "translation": [0.0, 0.0, 2.0]}],
+        "accessors": _accessor(bufferView=0.0, count=3.0, componentType=5126.0),
+        "bufferViews": [{"buffer": 0.0, "byteLength": 36.0, "byteStride": 12.0}],
+        "textures": [{"source": 0.0, "sampler": None}],
+        "images": [{"uri": None}],
+    }
+    content["meshes"][0]["primitives"][0] |= {"indices": None, "mode": 4.0}
+    (tmp_path / "a.gltf").write_text(json.dumps(content))
+    with pytest.warns(UserWarning, match=r"normalTexture of a material \(images\[0\]"):
+        mesh = pf.load_mesh(tmp_path / "a.gltf").mesh
+    near(mesh.vertices, [[0, 0, 2], [1, 0, 2], [0, 1, 2]])
 
 
 def test_gltf_with_sparse_positions(tmp_path):

@@ -312,7 +312,7 @@ def test_what_is_a_photograph_in_a_folder(tmp_path):
         ValueError, match=r"expected at least 2 photographs, got A\.JPG"
     ):
         list_photographs(tmp_path)
-    with pytest.raises(ValueError, match="there is no such folder"):
+    with pytest.raises(ValueError, match="there is no such file or folder"):
         list_photographs(tmp_path / "none")
     with pytest.raises(ValueError, match="paths: expected at least one"):
         open_photographs([], "srgb")
