@@ -170,7 +170,10 @@ def open_capture(
     **Raises:** `ValueError` that names the folder, the file or the argument.
     """
     folder, note = Path(folder), ""
+    beside = {Path(p).resolve() for p in (ambient, flat) if p is not None}
     if folder.is_file():
+        if folder.resolve() in beside:
+            raise ValueError(f"ambient and flat: expected other files than {folder}")
         images = names = [folder.name]
         listed, folder = None, folder.parent
         if lights is not None:
@@ -178,7 +181,6 @@ def open_capture(
             with naming(str(lights)):
                 listed = listed.only(names)
     else:
-        beside = {Path(p).resolve() for p in (ambient, flat) if p is not None}
         images = [p.name for p in images_in(folder) if p.resolve() not in beside]
         images.sort(key=_by_number)
         listed = _list_in(folder, lights)

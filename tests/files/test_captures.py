@@ -114,6 +114,9 @@ def test_an_exposure_that_one_photograph_does_not_state(tmp_path):
 def test_bad_folders(folder, tmp_path):
     with pytest.raises(ValueError, match="there is no such file or folder"):
         pf.open_capture(tmp_path / "nowhere.jpg")
+    photo = folder / "img2.jpg"
+    with pytest.raises(ValueError, match="ambient and flat: expected other files"):
+        pf.open_capture(photo, "linear", ambient=photo)
     missing = tmp_path / "no.lp"
     with pytest.raises(ValueError, match=rf"^{missing}: cannot be read"):
         pf.open_capture(folder / "img1.jpg", lights=missing)
