@@ -153,7 +153,7 @@ def _fit_among(
         maps = fit_maps(some, stack, mask=sample, **options)
         return _Noise(maps.noise[sample].astype(float), maps.samples[sample])
 
-    block = blocks(*sample.shape, BLOCK)[sample]
+    block = blocks(*sample.shape, side=BLOCK)[sample]
     given = fitted(scenes)
     noise = {degrees: fitted(seen_over(scenes, degrees)) for degrees in angles}
     for _ in range(steps):
