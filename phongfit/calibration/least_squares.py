@@ -127,15 +127,17 @@ def summed_by_block(
 ) -> Float[np.ndarray, "blocks n"]:
     """Sums over samples whose errors are correlated, for a sandwich covariance."""
     _, group = np.unique(block, return_inverse=True)
-    sums = np.zeros((group.max() + 1, scores.shape[1]))
+    sums = np.zeros((np.max(group, initial=-1) + 1, scores.shape[1]))
     np.add.at(sums, group, scores)
     return sums
 
 
-def blocks(height: int, width: int) -> Int[np.ndarray, "height width"]:
+def blocks(
+    height: int, width: int, side: int = BLOCK
+) -> Int[np.ndarray, "height width"]:
     """The number of each pixel's block of correlated errors."""
-    rows, columns = np.mgrid[:height, :width] // BLOCK
-    return rows * (width // BLOCK + 1) + columns
+    rows, columns = np.mgrid[:height, :width] // side
+    return rows * (width // side + 1) + columns
 
 
 def thinned(

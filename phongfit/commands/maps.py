@@ -113,7 +113,7 @@ class Options:
             such as shadows that the scene does not have. Default: linear; cauchy with
             --normals fit.
         tile_pixels: Pixels that each core works on at a time. Default: as many as have
-            16 MB of light; 64 MB on a GPU.
+            16 MB of light, all cores together 256 MB; 64 MB on a GPU.
         dask: With a zarr array: local:N for N workers on this machine, or the address
             of a Dask scheduler, such as tcp://10.0.0.1:8786.
         pictures: Draw the pictures.

@@ -164,9 +164,12 @@ def fit_block(
     if found is not None:
         return _counts(found, plan), False
     job = plan.job(group, number, stack)
-    team = Team(as_team().devices, threads)
-    size = tile_size(math.prod(plan.block), len(plan.scenes), None, as_team())
-    arrays = fit_job(job, size, team).pixel_arrays()
+    team = as_team()
+    size = tile_size(math.prod(plan.block), len(plan.scenes), None, team)
+    # Each block begins with another device, since blocks may have one tile.
+    first = number % len(team.devices)
+    devices = [*team.devices[first:], *team.devices[:first]]
+    arrays = fit_job(job, size, Team(devices, threads)).pixel_arrays()
     store.save(number, arrays)
     return _counts(arrays, plan), True
 

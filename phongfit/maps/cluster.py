@@ -113,14 +113,15 @@ def _here(
     place: Place, count: int, stack: AbstractStack | None
 ) -> Iterator[tuple[int, tuple[Counts, bool]]]:
     """Fit blocks in this process, some in parallel, and yield them in order."""
-    cores = as_team().threads
-    beside = min(cores, BESIDE)
+    devices, threads = as_team()
+    cpu = devices[0].platform == "cpu"
+    beside = min(threads if cpu else len(devices), BESIDE)
 
     def fit(number: int) -> tuple[Counts, bool]:
-        return fit_block(place, number + 1, stack, cores // beside)
+        return fit_block(place, number + 1, stack, threads // beside)
 
     # The first alone, since the others use the program that it compiles.
-    yield 0, fit_block(place, 0, stack, cores)
+    yield 0, fit_block(place, 0, stack, threads)
     for number, done in ahead(fit, count - 1, beside):
         yield number + 1, done
 

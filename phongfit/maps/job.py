@@ -24,7 +24,7 @@ from phongfit.maps.pixel.lighting import Lighting, make_lighting
 from phongfit.maps.pixel.lobes import in_numbers, is_power
 from phongfit.maps.pixel.samples import Known, Outside, Tile
 from phongfit.maps.pixel.settings import MAP_PARAMETERS, MOST_MATERIALS, MapSettings
-from phongfit.maps.stacks import AbstractStack
+from phongfit.maps.stacks import AbstractStack, take_alone
 from phongfit.material import Material
 from phongfit.reflectance import AbstractSpecular
 from phongfit.rendering.film import Film
@@ -125,7 +125,7 @@ class Job:
     def tile(self, pixels: np.ndarray, size: int) -> Tile:
         """The tile of some pixels, padded to `size` pixels that are not used."""
         order = self.outside.lighting.order
-        target = self.stack.take_coded(pixels, order)
+        target = take_alone(self.stack, pixels, order)
         hidden = np.ma.getmask(target.numbers)
         used = self.masks.take(pixels, order) & ~hidden
         used = self.noise.weigh(used, pixels, order)

@@ -44,11 +44,12 @@ from phongfit.scene import Scene
 
 TILES_FORMAT = "phongfit tiles"
 
-TILE_BYTES, CORE_BYTES = 2**26, 2**24
-"""Bytes of light in a tile by default: on a GPU, and for each core of a CPU.
+TILE_BYTES, CORE_BYTES, CPU_BYTES = 2**26, 2**24, 2**28
+"""Bytes of light in a tile by default: on a GPU, and for each core of a CPU; and of
+the tiles of all cores together.
 
-The latter are few enough for its caches, and enough that the blocks of a second pass,
-which may be nearly empty, take a small fraction of the time."""
+Those of a core are few enough for its caches, and enough that the blocks of a second
+pass, which may be nearly empty, take a small fraction of the time."""
 
 
 @checked
@@ -148,7 +149,7 @@ def fit_maps(
     - `min_cosine`: samples that no light reaches at a cosine above this are left out as
         shadowed; −1 keeps all.
     - `tile_pixels`: pixels that a core or a GPU works on at a time; default: as many as
-        hold 16 MB of light, or 64 MB on a GPU.
+        hold 16 MB of light, or 64 MB on a GPU; all cores together 256 MB.
     - `devices`: devices that work on the tiles in turn; default: all local ones.
     - `output`: a folder that keeps finished tiles, as a zarr group. An interrupted run
         continues from there, with bit-identical results. It must be empty, or of the
@@ -338,7 +339,8 @@ def tile_size(pixels: int, images: int, wanted: int | None, team: Team) -> int:
     """Pixels of a tile, a multiple of a block's."""
     if wanted is None:
         cpu = team.devices[0].platform == "cpu"
-        most = (CORE_BYTES if cpu else TILE_BYTES) // (images * 12 * BLOCK) * BLOCK
+        size = min(CORE_BYTES, CPU_BYTES // team.threads) if cpu else TILE_BYTES
+        most = size // (images * 12 * BLOCK) * BLOCK
         # Tiles of equal size, since a partly filled one takes as long as a full one; in
         # a multiple of the number of cores, so that none idles.
         unit = team.threads if cpu else 1

@@ -1,7 +1,8 @@
 """Photographs in a temporary file that is mapped to memory.
 
 A stack of photographs may be larger than memory, and a tile needs a few pixels of each.
-The file has the size of the uncompressed images: it holds their whole numbers.
+The file holds their whole numbers, and a byte for each sample of an image of which some
+samples may not be used.
 """
 
 import contextlib
@@ -9,7 +10,7 @@ import math
 import mmap
 import tempfile
 from collections.abc import Callable
-from typing import IO, Any, NamedTuple
+from typing import IO, Any, NamedTuple, final
 
 import numpy as np
 from jaxtyping import Bool
@@ -23,6 +24,11 @@ DECODED = 2
 
 ALIGNED = 16
 """Arrays begin at multiples of this number of bytes."""
+
+
+@final
+class SpoolMap(mmap.mmap):
+    """Map of a file of this module, whose pages can be read again."""
 
 
 class UsedImage(NamedTuple):
@@ -48,7 +54,7 @@ def spooled(read: Callable[[int], UsedImage], count: int) -> list[UsedImage]:
             used = None if used is None or used.all() else used
             places = [None if a is None else _write(file, a) for a in (numbers, used)]
             images.append((*places, table))
-        data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        data = SpoolMap(file.fileno(), 0, access=mmap.ACCESS_READ)
 
     def mapped(place: _Place | None) -> Any:
         if place is None:

@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 import mmap
 import os
+import threading
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, final
 
@@ -30,11 +31,14 @@ from phongfit.files.zarrs import (
     place_of,
     read_window,
 )
-from phongfit.maps.spool import UsedImage, spooled
+from phongfit.maps.spool import SpoolMap, UsedImage, spooled
 from phongfit.rendering.film import Encoding, as_encoding
 from phongfit.scene import Scene
 
 Update = Callable[[bytes | memoryview], None]
+
+READING = threading.RLock()
+"""Held while samples are read: stacks of users may seek in an open file."""
 
 
 class AbstractStack(abc.ABC):
@@ -50,6 +54,8 @@ class AbstractStack(abc.ABC):
         self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
     ) -> Float[np.ndarray, "images n 3"]:
         """Linear light of some pixels in all images.
+
+        Fits of maps call this from several threads, but never from two at once.
 
         **Arguments:**
 
@@ -132,7 +138,8 @@ class AbstractArrays(AbstractCodedStack):
             table = table[list(order)]
         if not hidden.any():
             return Coded(taken, table)
-        taken[hidden] = 0
+        # Finite values remain: a clipped sample is a lower bound of the light.
+        taken[hidden & ~np.isfinite(taken)] = 0
         return Coded(np.ma.MaskedArray(taken, hidden), table)
 
     def identify(self, update: Update) -> None:
@@ -141,7 +148,8 @@ class AbstractArrays(AbstractCodedStack):
                 if array is None:
                     continue
                 update(f"{array.dtype.str} {array.shape}".encode())
-                for row in array:
+                # Rows of an image, since a copy may be needed; a table at once.
+                for row in np.atleast_2d(array):
                     update(np.ascontiguousarray(row).data.cast("B"))
             _let_go(numbers)
 
@@ -408,8 +416,16 @@ def read_rectangle(stack: AbstractStack, window: Window) -> Coded:
         np.arange(n)[w] for n, w in zip((height, width), window, strict=True)
     )
     pixels = np.add.outer(width * rows, columns)
-    numbers, table = stack.take_coded(pixels.ravel(), range(count))
+    numbers, table = take_alone(stack, pixels.ravel(), range(count))
     return Coded(numbers.reshape(count, *pixels.shape, 3), table)
+
+
+def take_alone(
+    stack: AbstractStack, pixels: Int[np.ndarray, " n"], order: Sequence[int]
+) -> Coded:
+    """Samples as stored, read while no other thread reads."""
+    with READING:
+        return stack.take_coded(pixels, order)
 
 
 def gather(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
@@ -438,13 +454,17 @@ def _let_go(array: np.ndarray) -> None:
 
 
 def _mapping(array: np.ndarray) -> mmap.mmap | None:
-    """The memory map that an array is a view of; `None` if it is copy-on-write."""
+    """The memory map that an array is a view of, if its pages can be read again.
+
+    `None` for maps that may be private, whose pages would come back without changes.
+    """
     base: Any = array
+    shared = False
     while isinstance(base, np.ndarray | memoryview):
-        if isinstance(base, np.memmap) and base.mode not in ("r", "r+"):
-            return None
+        shared |= isinstance(base, np.memmap) and base.mode in ("r", "r+")
         base = base.base if isinstance(base, np.ndarray) else base.obj
-    return base if isinstance(base, mmap.mmap) else None
+    known = isinstance(base, SpoolMap) or (shared and isinstance(base, mmap.mmap))
+    return base if known else None
 
 
 def _float_type() -> np.dtype:

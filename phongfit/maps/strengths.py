@@ -263,13 +263,14 @@ class _Sums(NamedTuple):
     """Normal equations of log s with all b eliminated.
 
     - `scores`: gradient, with a row for each block of pixels.
-    - `turned`: derivatives of the gradient by turns of each lamp about x, y and z.
+    - `turned`: function that returns the derivatives of the gradient by turns of each
+        lamp about x, y and z; they are only needed at the solution.
     - `weight`: weights of the samples in the next step.
     """
 
     information: Float[np.ndarray, "images images"]
     scores: Float[np.ndarray, "blocks images"]
-    turned: Float[np.ndarray, "images turns"]
+    turned: Callable[[], Float[np.ndarray, "images turns"]]
     weight: Float[np.ndarray, "images points"]
 
 
@@ -295,7 +296,7 @@ def _solve(
     inverse = np.linalg.pinv(ratios @ sums.information @ ratios, 1e-9, hermitian=True)
     several = len(sums.scores) / max(len(sums.scores) - 1, 1)
     variance = several * ((sums.scores @ inverse) ** 2).sum(axis=0)
-    moved = np.radians(DIRECTION) * inverse @ sums.turned
+    moved = np.radians(DIRECTION) * inverse @ sums.turned()
     directions, sizes, _ = np.linalg.svd(moved)
     errors = np.sqrt(variance + (moved**2).sum(axis=1) + LEAST**2)
     return logs, errors, sizes[0] * directions[:, 0]
@@ -326,14 +327,17 @@ def _sum_up(points: _Flat, values: np.ndarray, weight: np.ndarray) -> _Sums:
         products = np.diag((column * other).sum(axis=1))
         return products - np.einsum("pla,pma->lm", own, other.T[..., None] * q)
 
-    turns = [np.cross(axis, irradiance) for axis in np.eye(3)]
-    turned = [eliminated(scaled * np.einsum("lpa,pa->lp", t, b)) for t in turns]
+    def turned() -> np.ndarray:
+        turns = [np.cross(axis, irradiance) for axis in np.eye(3)]
+        moved = [scaled * np.einsum("lpa,pa->lp", turn, b) for turn in turns]
+        return np.concatenate([eliminated(each) for each in moved], axis=1)
+
     scores = column * root * left
     scores = scores.T - np.einsum("pla,pma,mp->pl", own, q, root * left, optimize=True)
     return _Sums(
         eliminated(column),
         summed_by_block(scores, points.block),
-        np.concatenate(turned, axis=1),
+        turned,
         lit * tukey_weight(left, max(scale, 1e-4)),
     )
 

@@ -52,6 +52,9 @@ STEPS = 3
 CLOSE = 0.5
 """The search ends at an angle this close to one that was tried, degrees."""
 
+BLOCK = 8
+"""Side of a block of pixels, in pixels, whose errors may be correlated."""
+
 FLOOR = 1e-3
 """Least noise of a photograph, in linear light where white is 1."""
 
@@ -150,7 +153,7 @@ def _fit_among(
         maps = fit_maps(some, stack, mask=sample, **options)
         return _Noise(maps.noise[sample].astype(float), maps.samples[sample])
 
-    block = blocks(*sample.shape)[sample]
+    block = blocks(*sample.shape, side=BLOCK)[sample]
     given = fitted(scenes)
     noise = {degrees: fitted(seen_over(scenes, degrees)) for degrees in angles}
     for _ in range(steps):
@@ -232,7 +235,10 @@ def _judge(
     gain = summed_by_block(gain[together, None], block[together])
     spread = np.sqrt(len(gain) * np.var(gain, ddof=1)) if len(gain) > 1 else np.inf
     better = float(gain.sum() / spread) if spread > 0 else 0.0
-    ratio = most_likely.level[together] / given.level[together]
+    ratio = np.inf
+    if together.any():
+        levels = most_likely.level[together] / given.level[together]
+        ratio = float(np.median(levels))
     stderr = np.inf
     if 0 < best < len(angles) - 1:
         below, at, above = angles[best - 1 : best + 2]
@@ -243,4 +249,4 @@ def _judge(
         slopes = summed_by_block(first[:, None], block[together])
         if curvature > 0:
             stderr = float(np.sqrt(np.sum((slopes - slopes.mean()) ** 2)) / curvature)
-    return FovFit(angles[best], stderr, float(np.median(ratio)), better)
+    return FovFit(angles[best], stderr, ratio, better)

@@ -47,6 +47,7 @@ def test_sums_by_block():
     scores = np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])
     sums = summed_by_block(scores, np.array([7, 2, 7]))
     assert sums.tolist() == [[3, 4], [6, 8]]
+    assert summed_by_block(scores[:0], np.zeros(0, int)).shape == (0, 2)
 
 
 @pytest.mark.parametrize("falloff", [0.0, 0.5, 1.0])

@@ -1,5 +1,6 @@
 """Maps from zarr to zarr: the same bits, here or on workers, whoever dies meanwhile."""
 
+import collections
 import errno
 import functools
 import importlib.util
@@ -8,6 +9,7 @@ import shutil
 import signal
 import threading
 import time
+from types import SimpleNamespace
 from typing import Any
 
 import jax.numpy as jnp
@@ -24,6 +26,7 @@ from phongfit.maps import blocks
 from phongfit.maps.blocks import block_size
 from phongfit.maps.cluster import dask_client, fit_stored_maps
 from phongfit.maps.pixel.block import BLOCK
+from phongfit.maps.run import Team, as_team
 from tests.maps.synthetic import Stack, make_stack, same
 
 pytestmark = [
@@ -79,6 +82,21 @@ def test_there_and_back(maps, images, tmp_path, counted):
     np.testing.assert_array_equal(part.diffuse, maps.diffuse[10:30, 5:])
     assert part.camera is not None
     assert part.camera.project(jnp.zeros(3)).tolist() == [27.0, 14.0]
+
+
+def test_blocks_begin_with_each_device_in_turn(images, tmp_path, monkeypatch):
+    devices = [SimpleNamespace(platform="cpu", id=k) for k in range(3)]
+    first, real = [], blocks.fit_job
+
+    def fit_job(job, size, team):
+        first.append(team.devices[0].id)
+        return real(job, size, as_team())
+
+    monkeypatch.setattr(blocks, "as_team", lambda: Team(devices, 1))
+    monkeypatch.setattr(blocks, "fit_job", fit_job)
+    out = tmp_path / "maps.zarr"
+    fit_stored_maps(made().scenes, images, out, block=SIZE, **QUICK)
+    assert collections.Counter(first) == {0: 3, 1: 3, 2: 3}
 
 
 def test_a_finished_block_is_not_fitted_again_and_a_broken_one_is(

@@ -1,6 +1,7 @@
 """Maps: the truth within its errors, and what a pixel does not identify is said."""
 
 import dataclasses
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 import phongfit as pf
 from phongfit.maps.pixel.settings import Flag
+from phongfit.maps.run import Team, tile_size
 from tests.maps.synthetic import Stack, dtype, make_stack, pulls
 
 PARAMETERS = ("ambient", "diffuse", "specular", "shininess")
@@ -269,3 +271,10 @@ def test_sixteen_thousand_pixels():
         pull = pulls(maps, stack.truth, name)
         assert np.mean(pull**2) == pytest.approx(1, abs=0.08), name
         assert np.mean(np.abs(pull) < 1.96) == pytest.approx(0.95, abs=0.01), name
+
+
+@pytest.mark.parametrize(("cores", "most"), [(2, 2**25), (64, 2**28)])
+def test_the_tiles_of_all_cores_fit_into_memory(cores, most):
+    team = Team([SimpleNamespace(platform="cpu")], cores)
+    light = cores * tile_size(10**8, 30, None, team) * 30 * 12
+    assert 0.9 * most < light < 1.1 * most

@@ -2,6 +2,7 @@
 
 import errno
 import io
+import mmap
 import tempfile
 import tracemalloc
 from pathlib import Path
@@ -16,7 +17,7 @@ from phongfit.files.dataset import Photograph, Photographs
 from phongfit.files.images import level_table
 from phongfit.maps.ahead import ahead
 from phongfit.maps.spool import UsedImage, spooled
-from phongfit.maps.stacks import ArrayStack
+from phongfit.maps.stacks import ArrayStack, _mapping
 from tests.helpers import floats
 from tests.maps.synthetic import Stack, dtype, make_stack, same, write_diligent
 
@@ -144,6 +145,46 @@ def test_a_rectangle_keeps_whole_numbers(order, pixels):
     assert len(checksums) == 3
 
 
+@pytest.mark.parametrize(
+    "options", [{"access": mmap.ACCESS_COPY}, {"flags": mmap.MAP_PRIVATE}]
+)
+def test_arrays_in_a_private_map_keep_their_values(options, tmp_path):
+    (tmp_path / "file").write_bytes(bytes(4 * 300))
+    with open(tmp_path / "file", "r+b") as file:
+        memory = mmap.mmap(file.fileno(), 0, **options)
+    images = np.frombuffer(memory, np.float32).reshape(1, 10, 10, 3)
+    images[:] = 0.5
+    ArrayStack(images).take(np.arange(9), [0])
+    assert (images == 0.5).all()
+
+
+def test_pages_that_can_be_read_again_are_let_go(tmp_path):
+    np.save(tmp_path / "stack.npy", np.ones((1, 4, 5, 3)))
+    modes: Any = {"r": True, "r+": True, "c": False}
+    for mode, known in modes.items():
+        array = np.load(tmp_path / "stack.npy", mmap_mode=mode)[0]
+        assert (_mapping(np.asarray(array)) is not None) == known
+    (image,) = spooled(lambda _: UsedImage(Coded(np.ones((4, 5, 3)))), 1)
+    assert _mapping(image.coded.numbers) is not None
+
+
+def test_masked_samples_keep_what_is_finite():
+    """They are a lower bound of clipped light; NaN is 0, so that fits stay finite."""
+    light = np.repeat([0.8, 0.8, np.nan], 3).reshape(1, 1, 3, 3)
+    hidden = np.repeat([False, True, True], 3).reshape(light.shape)
+    images = np.ma.MaskedArray(light, hidden)
+    taken = ArrayStack(images).take(np.arange(3), [0])
+    assert np.ma.getdata(taken)[0, :, 0] == pytest.approx([0.8, 0.8, 0])
+    assert np.array_equal(np.ma.getmaskarray(taken), hidden[0])
+
+
+def test_a_table_is_identified_at_once():
+    image = Coded(np.zeros((1, 2, 3, 3), np.uint16), np.zeros(2**16, dtype()))
+    parts: list[bytes] = []
+    ArrayStack(image).identify(lambda part: parts.append(bytes(part)))
+    assert len(parts) == 5 and len(parts[-1]) == 2**16 * dtype().itemsize
+
+
 def test_reading_ahead_is_in_order_and_ends_with_an_error():
     begun = []
 
@@ -211,7 +252,7 @@ def test_photographs_come_back_from_their_file(kinds, shares, stored, tables):
                 used = used.reshape(-1, 3)[pixels]
                 image = images[k].light.reshape(-1, 3)[pixels]
                 assert np.array_equal(np.ma.getmaskarray(row), ~used)
-                assert np.array_equal(np.ma.getdata(row), np.where(used, image, 0))
+                assert np.array_equal(np.ma.getdata(row)[used], image[used])
     unmasked = stack.take_coded(np.arange(9), [2]).numbers
     assert not isinstance(unmasked, np.ma.MaskedArray)
 

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from time import sleep
 from typing import Any
 
 import equinox as eqx
@@ -18,7 +19,7 @@ from PIL import Image
 import phongfit as pf
 from phongfit.files.images import to_levels, write_image
 from phongfit.maps.job import make_job
-from phongfit.maps.stacks import ArrayStack
+from phongfit.maps.stacks import AbstractStack, ArrayStack
 from tests.files.test_photographs import exif
 from tests.maps.synthetic import Stack, make_stack, same
 
@@ -119,6 +120,29 @@ def test_each_exposure_has_a_table_of_its_own(tmp_path):
     found, expected = (fitted(images) for images in (photographs, light))
     same(found, expected)
     assert found.identified.any()
+
+
+def test_a_stack_is_read_by_one_thread_at_a_time(maps):
+    class Seeking(AbstractStack):
+        """Breaks if two threads read it at once."""
+
+        inner, reading = ArrayStack(stack().images), False
+
+        @property
+        def shape(self):
+            return self.inner.shape
+
+        def take(self, pixels, order):
+            assert not self.reading
+            self.reading = True
+            sleep(0.02)
+            self.reading = False
+            return self.inner.take(pixels, order)
+
+        def identify(self, update):
+            self.inner.identify(update)
+
+    same(fitted(Seeking()), maps)
 
 
 def test_a_stack_that_breaks_and_finished_tiles_stay(tmp_path):

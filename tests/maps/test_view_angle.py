@@ -6,7 +6,7 @@ import pytest
 import phongfit as pf
 from data_synth.lights import spread_directions
 from phongfit.cli import main
-from phongfit.maps.view_angle import _next_angle, _Noise, check_fov, seen_over
+from phongfit.maps.view_angle import _judge, _next_angle, _Noise, check_fov, seen_over
 from tests.maps.synthetic import dtype
 
 SIZE, FOV = 24, 50.0
@@ -54,6 +54,12 @@ def test_the_next_angle_is_the_vertex_of_a_parabola():
     assert _next_angle(noise) == pytest.approx(31, abs=0.01)
     del noise[40.0]
     assert _next_angle(noise) is None
+
+
+def test_angles_without_a_common_pixel_are_not_judged():
+    lost = _Noise(np.array([np.nan]), np.array([5]))
+    found = _judge(dict.fromkeys((10.0, 20.0, 30.0), lost), lost, np.array([0]))
+    assert not found.determined and found.stderr == np.inf
 
 
 @pytest.mark.extended

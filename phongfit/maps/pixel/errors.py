@@ -229,7 +229,8 @@ def _widened(
         shares = beside
 
     def most(off: Array, shares: Array) -> Array:
-        return jnp.max(jnp.where(shares > 0, off * shares, 0), axis=0)
+        # A share that is NaN stays so, and makes the error infinite.
+        return jnp.max(jnp.where(shares == 0, 0, off * shares), axis=0)
 
     def widest(name: str) -> Array:
         off = jnp.abs(getattr(profile.points, name) - getattr(point, name)[None])

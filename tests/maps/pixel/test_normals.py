@@ -2,10 +2,14 @@
 
 import dataclasses
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import phongfit as pf
+from phongfit.maps.pixel.errors import Profile, _widened, _Widths
+from phongfit.maps.pixel.settings import Point, Unknowns
+from phongfit.maps.pixel.step import Edges
 from tests.maps.pixel.scenes import FREE, NOISE, Hidden, hide
 from tests.maps.synthetic import pulls
 
@@ -24,6 +28,20 @@ def found(hidden: Hidden, images: np.ndarray | None = None, **options) -> pf.Map
     images = hidden.images if images is None else images
     options = {"film": FREE, "normals": "fit", "passes": 1} | options
     return pf.fit_maps(hidden.scenes, images, **options)
+
+
+def test_a_profile_that_is_nan_leaves_no_finite_error():
+    one, yes = jnp.ones(1), jnp.ones(1, bool)
+    point = Point(jnp.ones((3, 1)), one, *(jnp.ones((1, 1)) for _ in range(3)))
+    beside = Point(*(jnp.stack([leaf, leaf]) for leaf in point))
+    profile = Profile(beside, jnp.array([[jnp.nan], [4.0]]), yes)
+    widths = _Widths(one, (jnp.ones((1, 1)),), one, one, ~yes)
+    edges = Edges(((0.0, 1.0),), (0.0, 1.0), (0.0, 5.0))
+    which = Unknowns(("diffuse",), True, False)
+    for vague, lost in ((yes, True), (~yes, False)):
+        wide = _widened(point, profile, widths, one, vague, vague, which, edges)
+        for error in (wide.normal, wide.own[0], wide.exponent):
+            assert bool(jnp.isnan(error).all()) == lost
 
 
 def check_truth(hidden: Hidden, maps: pf.Maps, least: float = 0.95) -> None:
