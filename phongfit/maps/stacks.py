@@ -224,7 +224,7 @@ def _unmasked(numbers: np.ndarray, table: np.ndarray | None) -> UsedImage:
 
 @final
 class PhotographStack(AbstractArrays):
-    """Image files as a stack of photographs, each decoded once: see [`spooled`][].
+    """Image files as a stack of photographs, each decoded once, to a temporary file.
 
     If their exposures differ, all are scaled to the shortest exposure, samples clipped
     at white are masked, and `notes` has a message about it.
