@@ -42,6 +42,7 @@ def run(*words: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.extended
 @linux
 def test_the_judge_sees_faults():
     seen = json.loads(run("tests.campaign.planted").stdout)

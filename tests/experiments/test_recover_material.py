@@ -3,11 +3,13 @@ import types
 from typing import Any
 
 import numpy as np
+import pytest
 
 from experiments import recover_material
 from experiments.recover_material import cases, main, numbers, truth_values
 
 
+@pytest.mark.extended
 def test_a_material_comes_back(tmp_path, capsys, monkeypatch):
     """The first two of eight targets, which share what is compiled."""
     few = cases()[:2]

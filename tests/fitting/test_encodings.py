@@ -64,6 +64,7 @@ def encodings_named(image: np.ndarray, film: pf.Film | None = None) -> list[str]
     return [one.rpartition("encoding=")[2].split()[0] for one in doubts]
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("right, wrong", [("linear", "srgb"), ("srgb", "linear")])
 def test_a_fit_names_the_encoding_of_a_file(right, wrong):
     """The rounding of 8 bits shows in which encoding the file was read."""

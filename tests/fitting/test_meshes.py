@@ -85,6 +85,7 @@ def test_materials_of_a_ray_traced_scene(name, loss):
     assert np.all(np.isinf(fit.errors[dark & shininess]))
 
 
+@pytest.mark.extended
 def test_wrong_shading_is_told_and_not_fitted_away():
     """A highlight between the corners of a coarse mesh, which Gouraud's misses."""
     scene, right = canonical.mesh().scene, canonical.mesh_scene(pf.PhongShading())

@@ -78,6 +78,7 @@ START = {
 }
 
 
+@pytest.mark.extended
 def test_a_direction_is_found():
     solved = canonical.unknown_direction()
     fit = solved.fit

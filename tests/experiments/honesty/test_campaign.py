@@ -53,6 +53,7 @@ def test_a_small_campaign(tmp_path, capsys):
     assert verdicts["no highlight"]["infinite"] >= 0.1
 
 
+@pytest.mark.extended
 def test_a_broken_promise_is_told(monkeypatch, capsys):
     lying = Situation("a lie", "right", lambda draws: made_up(len(draws), stated=0.3))
     monkeypatch.setattr(campaign_command, "all_situations", lambda: [lying])

@@ -210,6 +210,7 @@ def test_uncertain_arrays_are_no_unknowns_of_other_options(options, message):
         fitted(uncertain={INTENSITY: 0.01}, **options)
 
 
+@pytest.mark.extended
 def test_residuals_have_the_shadows_of_the_solution():
     """Shadows stay where the scene's lamp casts them, though the lamp is refined."""
     camera = pf.OrthographicCamera(32, 32)

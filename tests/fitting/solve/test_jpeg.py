@@ -55,6 +55,7 @@ def test_an_array_that_was_a_jpeg_file_is_noticed():
         assert not pf.fit(SCENE, jpeg_photograph(seed, None, SCENE)).warnings
 
 
+@pytest.mark.extended
 def test_a_wrong_model_is_still_seen():
     lamp = pf.DirectionalLight((-1, -1, 1), 0.02)
     more = dataclasses.replace(SCENE, lights=[*SCENE.lights, lamp])
