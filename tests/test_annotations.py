@@ -17,7 +17,7 @@ PARTS = """
     test_lights test_scene geometry/test_surfaces rendering/test_render
     fitting/problem/test_layout fitting/solve/test_box fitting/texels/test_lit
     fitting/uncertainty/test_sandwich calibration/test_response files/test_scenes
-    maps/pixel/test_tile report/test_page lab/test_settings commands/test_scene
+    maps/pixel/test_block report/test_page lab/test_settings commands/test_scene
     data_synth/test_writing
 """
 

@@ -442,7 +442,7 @@ def _judge(cells: _Cells) -> _Verdict:
     count, whole, spread = (part.sum(axis=-1) for part in (judged, square, local**2))
     apart = count[:3].sum(), whole[:3].sum(), spread[:3].sum(), highest[:3].max()
     together = count[3], whole[3], spread[3], highest[3]
-    return max(_judge_sums(*apart), _judge_sums(*together))
+    return max(_judge_sums(*map(float, sums)) for sums in (apart, together))
 
 
 def _judge_sums(count: float, square: float, local: float, highest: float) -> _Verdict:
