@@ -18,9 +18,9 @@ from phongfit.report.style import (
     ORANGE,
     PALE as PALE,
     SKY as SKY,
-    STYLE as REPORT,
     VERMILION,
     quiet,
+    settings,
 )
 
 # Width of a page's text, inches: nothing is scaled, so a point of type is a point.
@@ -37,7 +37,7 @@ PARAMETERS = {
 
 # Style of the report, changed for many small panels: titles above the middle of each.
 STYLE: dict[Any, Any] = {
-    **matplotlib.rc_params_from_file(REPORT, use_default_template=False),
+    **settings(),
     "axes.titlelocation": "center",
     "figure.titlesize": 10,
     "lines.markersize": 4.5,

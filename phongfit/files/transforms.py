@@ -28,9 +28,10 @@ from phongfit.geometry.distortion import (
 
 MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "OPENCV_FISHEYE")
 FEW, MOST = 8, 10_000
+DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 NUMBERS = (
     *("camera_angle_x", "camera_angle_y", "fl_x", "fl_y", "cx", "cy", "w", "h"),
-    *("k1", "k2", "k3", "k4", "p1", "p2"),
+    *DISTORTION,
 )
 COMMON = {*NUMBERS, "is_fisheye", "camera_model"}
 """Keys given once for all frames or in each frame; `null` is the same as absent."""
@@ -161,7 +162,7 @@ def _distortion(frame: Frame) -> AbstractDistortion | None:
         raise ValueError(
             f"camera_model: expected one of {wanted}, got {shorten(model)}"
         )
-    k1, k2, k3, k4, p1, p2 = (float(frame.get(key, 0)) for key in NUMBERS[-6:])
+    k1, k2, k3, k4, p1, p2 = (float(frame.get(key, 0)) for key in DISTORTION)
     if frame.get("is_fisheye") or model == "OPENCV_FISHEYE":
         if p1 or p2:
             raise ValueError("p1: expected 0 of a fisheye, which has k1 … k4")

@@ -45,11 +45,11 @@ def picture(
 
 def styled() -> Any:
     """A context that applies the style to figures, and then restores settings."""
-    return matplotlib.rc_context(_settings())
+    return matplotlib.rc_context(settings())
 
 
 @functools.cache
-def _settings() -> matplotlib.RcParams:
+def settings() -> matplotlib.RcParams:
     """The settings of the style alone: all others stay the user's."""
     return matplotlib.rc_params_from_file(STYLE, use_default_template=False)
 
