@@ -82,7 +82,7 @@ class Result:
     def differences(self) -> dict[str, float]:
         """Largest differences from the formulas, by lamp, of the fog and the shadow.
 
-        That of the shadow is relative to its area, the others are differences of light.
+        The shadow's is a fraction of its area; the others are in units of light.
         """
         differences = {
             name: float(np.abs(self.falloff[name] - formula).max())

@@ -111,7 +111,7 @@ def _is_private(folder: Path) -> bool:
 
 
 def tidy(folder: Path) -> None:
-    """Remove damaged entries; if the cache exceeds `MAX_BYTES`, the oldest ones, too.
+    """Remove damaged entries, and the oldest ones of a cache above `MAX_BYTES`.
 
     JAX writes an entry in place. If the process is killed meanwhile, the damaged entry
     can never be read and is never replaced. Each entry is checked once.

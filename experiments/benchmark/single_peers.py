@@ -54,9 +54,9 @@ class WrittenOut:
         )
 
     def residual(self, xp: Any, y: Any, upper_tail: Callable[[Any], Any]) -> Any:
-        """(model − image) / σ, (3, pixels), where the model is a mean of clipped light.
+        """(model − image) / σ, (3, pixels).
 
-        That is, the expectation of light plus noise after clipping to [0, 1]: see
+        The model is the expectation of light plus noise after clipping to [0, 1]: see
         [`clipped_moments`][].
 
         **Arguments:** `xp`, `y`: as in `light`; `upper_tail`: function from z to the

@@ -43,7 +43,7 @@ def make_stack(
     **Arguments:**
 
     - `pixels`: about as many; height and width are nearly the same.
-    - `lights`: number of images, each under a lamp of its own.
+    - `lights`: number of images; a different lamp lights each.
     - `folder`: for a memory-mapped `stack.npy`; `None`: in memory.
     """
     rng = np.random.default_rng(seed)

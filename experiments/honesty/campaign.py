@@ -60,7 +60,7 @@ def run_situation(situation: Situation, draws: int, seed: int) -> Row:
     """
     began = time.perf_counter()
     count = max(round(draws * situation.draw_fraction), min(draws, LEAST))
-    # The same number in every process, unlike `hash`.
+    # `hash` of a text would differ from process to process.
     key = zlib.crc32(situation.name.encode())
     rngs = [np.random.default_rng((seed, key, draw)) for draw in range(count)]
     verdict = judge(

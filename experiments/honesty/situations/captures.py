@@ -341,7 +341,7 @@ def angle_of_view(draws: Draws) -> Answers:
         lights = [pf.DirectionalLight(direction) for direction in DIRECTIONS]
         scenes = [pf.Scene(ball, camera, light) for light in lights]
         rows, columns = np.indices((SIZE, SIZE)) - (SIZE - 1) / 2
-        # These scenes bring the lamps; `fit_fov` replaces their cameras and surfaces.
+        # Only the lamps of these scenes count: `fit_fov` replaces camera and surface.
         result = pf.fit_fov(
             on_plane(ball_scenes()),
             photographs(scenes, SPECULAR, rng),
