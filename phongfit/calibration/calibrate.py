@@ -165,11 +165,6 @@ def _outlines(
 ) -> list[tuple[Kind, Outline]]:
     if not chrome and matte is None:
         found = find_spheres(photographs, names, (view.height, view.width))
-        if not found:
-            raise ValueError(
-                "chrome: no sphere is seen in the photographs; give its circle, x, y "
-                "and radius in pixels"
-            )
         mattes = [outline for kind, outline in found if kind == "matte"]
         if len(mattes) > 1:
             words = (

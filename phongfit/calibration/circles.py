@@ -1,13 +1,10 @@
 """Find outlines of spheres in an edge map, to a fraction of a pixel."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-
-FOUND = 0.85
-"""Smallest fraction of a circle's arc on which there must be an edge."""
 
 SECTORS = 48
 """Number of pieces of an arc."""
@@ -25,6 +22,16 @@ mean of the photographs."""
 
 MARKED = 0.25
 """Smallest weight of an edge point."""
+
+CLOSE = 0.75
+"""Largest distance of an edge on a circle, pixels."""
+
+EXCESS = 3.0
+"""Smallest excess of edges on a circle. Mere noise has circles with 2."""
+
+VOTED, MOST = 0.1, 20
+"""Smallest fraction of a circle that votes for it; largest number of circles tried
+with radii within a factor of 2."""
 
 
 FINE = 0.7
@@ -102,11 +109,19 @@ class Placed(NamedTuple):
     - `outline`: x, y and radius in pixels from the upper left corner.
     - `covariance`: of these three, pixels².
     - `coverage`: fraction of the arc on which there is an edge.
+    - `excess`: by how many standard deviations more edges lie on the circle than if
+        they were anywhere near it.
     """
 
     outline: Float[np.ndarray, "3"]
     covariance: Float[np.ndarray, "3 3"]
     coverage: float
+    excess: float
+
+    @property
+    def arc(self) -> float:
+        """Length of the visible arc, in units of 2π pixels."""
+        return self.coverage * self.outline[2]
 
 
 class _Ring(NamedTuple):
@@ -198,10 +213,13 @@ def _placed(ring: _Ring, points: _EdgePoints, mirrors: bool = False) -> Placed:
     normal = away.T @ (near[:, None] * away) / max(np.sum(near), 1e-9) * count
     covariance = max(spread, 0.05**2) * np.linalg.pinv(normal + 1e-9 * np.eye(3))
     sector = np.floor(angles * SECTORS / (2 * np.pi)).astype(int)
-    close = weights * (np.abs(rest) < 0.75)
+    close = weights * (np.abs(rest) < CLOSE)
     shown = np.bincount(sector, close, SECTORS) / (points.photographs * len(ring.away))
     coverage = np.mean(shown * SECTORS > CLEARLY)
-    return Placed(outline + best, covariance, float(coverage))
+    chance = CLOSE / reach
+    excess = close.sum() / max(weights.sum(), 1e-9) - chance
+    excess /= np.sqrt(chance * (1 - chance) / count)
+    return Placed(outline + best, covariance, float(coverage), float(excess))
 
 
 def _ring(outline: np.ndarray, stretch: np.ndarray, reach: float) -> _Ring:
@@ -259,29 +277,52 @@ def _along(
 def find_circles(
     photographs: Float[np.ndarray, "count height width"],
 ) -> list[Placed]:
-    """Outlines of round objects, the clearest first.
+    """Circles that may be outlines of round objects, in no order.
 
     Every edge votes for centres along its gradient (Hough's transform with the
-    gradient's direction), over all radii. Of nested circles the outermost is kept,
-    since a chrome sphere mirrors its surroundings as circles.
+    gradient's direction), over all radii. Circles with many votes are moved onto the
+    edges.
+
+    **Arguments:** `photographs`: grey linear light.
 
     ??? cite "Source"
         Kimme, Ballard and Sklansky, *Finding circles by an array of accumulators*,
         CACM 18(2), 1975.
     """
-    candidates = _candidates(photographs)
-    found = [placed for placed in candidates if placed.coverage >= FOUND]
-    found.sort(key=lambda placed: -placed.outline[2])
-    outermost: list[Placed] = []
-    for placed in found:
-        x, y, radius = placed.outline
-        # Drop circles whose centre lies inside a larger one.
+    edges = find_edges(photographs)
+    if len(photographs) > 1:
+        # The mean has less noise, so it shows outlines that each photograph hides.
+        mean = find_edges(photographs.mean(axis=0, keepdims=True))
+        clearer = mean.strength > edges.strength
+        edges = Edges(
+            np.where(clearer, mean.strength, edges.strength),
+            np.where(clearer[..., None], mean.direction, edges.direction),
+        )
+    height, width = edges.strength.shape
+    shrink = max(1, round(max(height, width) / 480))
+    rings = [
+        _ring(np.array([x, y, radius]), np.zeros(2), reach=2.0 * shrink + 2)
+        for x, y, radius in _vote(edges, shrink)
+        if radius < x < width - radius and radius < y < height - radius
+    ]
+    found = map(_placed, rings, _edge_points(photographs, rings))
+    return [placed for placed in found if placed.excess > EXCESS]
+
+
+def outermost(circles: Iterable[Placed]) -> list[Placed]:
+    """Circles whose centre lies in no larger one, those with the longest arc first.
+
+    A chrome sphere mirrors its surroundings as circles within its outline.
+    """
+    kept: list[Placed] = []
+    for placed in sorted(circles, key=lambda placed: -placed.outline[2]):
+        x, y, _ = placed.outline
         if all(
             np.hypot(x - other.outline[0], y - other.outline[1]) > other.outline[2]
-            for other in outermost
+            for other in kept
         ):
-            outermost.append(placed)
-    return sorted(outermost, key=lambda placed: -placed.coverage)
+            kept.append(placed)
+    return sorted(kept, key=lambda placed: -placed.arc)
 
 
 def find_largest_arc(
@@ -289,8 +330,7 @@ def find_largest_arc(
 ) -> Placed | None:
     """The circle with the longest visible arc, for a photograph of one ball.
 
-    About half of the arc is enough, since a ball under one lamp has a dark side;
-    [`find_circles`][] needs nearly all of it.
+    About half of the arc is enough, since a ball under one lamp has a dark side.
 
     **Arguments:** `photographs`: grey linear light.
 
@@ -299,23 +339,10 @@ def find_largest_arc(
     smallest = LARGE * min(photographs.shape[1:])
     arcs = [
         placed
-        for placed in _candidates(photographs)
+        for placed in find_circles(photographs)
         if placed.coverage >= SEEN_OF_BALL and placed.outline[2] >= smallest
     ]
-    return max(arcs, key=lambda arc: arc.coverage * arc.outline[2], default=None)
-
-
-def _candidates(photographs: Float[np.ndarray, "count height width"]) -> list[Placed]:
-    """Circles within the photographs with many votes, moved onto the edges."""
-    edges = find_edges(photographs)
-    height, width = edges.strength.shape
-    shrink = max(1, round(max(height, width) / 480))
-    rings = [
-        _ring(np.array([x, y, radius]), np.zeros(2), reach=2.0 * shrink + 2)
-        for x, y, radius in _vote(edges, shrink)
-        if radius < x < width - radius and radius < y < height - radius
-    ]
-    return list(map(_placed, rings, _edge_points(photographs, rings)))
+    return max(arcs, key=lambda placed: placed.arc, default=None)
 
 
 def _vote(edges: Edges, shrink: int) -> list[np.ndarray]:
@@ -345,11 +372,13 @@ def _vote(edges: Edges, shrink: int) -> list[np.ndarray]:
     # Smoothed, since errors of the gradient's direction scatter the votes.
     votes = ndimage.gaussian_filter(votes, (0.7, 1.5, 1.5), truncate=3)
     votes *= 2 * np.pi * 1.5**2
-    best = (votes == ndimage.maximum_filter(votes, 5)) & (votes > 0.3)
+    best = (votes == ndimage.maximum_filter(votes, 5)) & (votes > VOTED)
     number, row, column = np.nonzero(best)
-    order = np.argsort(-votes[number, row, column])[:60]
-    circles = np.stack([column + 0.5, row + 0.5, radii[number]], 1)[order]
-    return list(circles * shrink)
+    found = np.stack([column + 0.5, row + 0.5, radii[number]], 1) * shrink
+    found = found[np.argsort(-votes[number, row, column])]
+    # Noise makes many small circles, which must not displace the large ones.
+    octave = np.floor(np.log2(found[:, 2] / radii[0])).astype(int)
+    return [circle for n in np.unique(octave) for circle in found[octave == n][:MOST]]
 
 
 def _is_ridge(edges: Edges) -> np.ndarray:

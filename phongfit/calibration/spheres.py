@@ -10,6 +10,7 @@ from phongfit.calibration.circles import (
     Placed,
     find_circles,
     find_largest_arc,
+    outermost,
     place,
 )
 from phongfit.calibration.highlights import find_highlights
@@ -134,10 +135,10 @@ def place_sphere(crop: Crop, outline: Outline, kind: Kind, view: View) -> Placed
         mirrors=kind == "chrome",
     )
     if placed.coverage < SEEN:
-        return Placed(outline, NOT_SEEN**2 * np.eye(3), placed.coverage)
+        return placed._replace(outline=outline, covariance=NOT_SEEN**2 * np.eye(3))
     moved = placed.outline + np.append(crop.corner, 0)
     spread = placed.covariance + np.diag(NOT_ROUND[kind]) ** 2
-    return Placed(moved, spread, placed.coverage)
+    return placed._replace(outline=moved, covariance=spread)
 
 
 def find_spheres(
@@ -149,12 +150,15 @@ def find_spheres(
     compact highlight in nearly every photograph, which moves with the lamp.
 
     **Arguments:** `size`: as in [`cut_out`][].
+
+    **Raises:** `ValueError` with the likeliest circles, if there is no sphere.
     """
     shrink = max(1, -(-max(size) // SEARCHED))
     images = looked_at(photographs, names)
     small = np.stack([block_means(image, shrink).mean(axis=-1) for image in images])
     found = []
-    for placed in find_circles(small):
+    circles = find_circles(small)
+    for placed in outermost(c for c in circles if c.coverage >= SEEN):
         x, y, radius = placed.outline
         margin = int(radius) + 3
         left, top = max(int(x) - margin, 0), max(int(y) - margin, 0)
@@ -163,6 +167,13 @@ def find_spheres(
         kind = _kind(part, inside)
         if kind is not None:
             found.append((kind, placed.outline * shrink))
+    if not found:
+        likely = [one.outline * shrink for one in outermost(circles)[:3]]
+        words = " or ".join("{:.0f} {:.0f} {:.0f}".format(*one) for one in likely)
+        raise ValueError(
+            "chrome: no sphere is seen in the photographs; give its circle, x, y and "
+            f"radius in pixels{words and f', perhaps {words}'}"
+        )
     return found
 
 

@@ -36,6 +36,29 @@ def test_two_chrome_spheres_agree():
     assert apart.mean() < 1.0
 
 
+@pytest.mark.extended
+def test_a_chrome_sphere_is_found():
+    """And nothing else: noise and the tripod have circles as well."""
+    folder = photographs("psbox") / "LightProbe-1"
+    x, up, radius = np.loadtxt(folder / "circle_data.txt")
+    capture = pf.open_capture(folder)
+    (sphere,) = pf.calibrate(capture).spheres
+    given = (x, capture[0].shape[0] - up, radius)
+    assert sphere.kind == "chrome"
+    np.testing.assert_allclose(sphere.outline, given, atol=4)
+
+
+@pytest.mark.extended
+def test_a_sphere_with_half_an_outline_is_suggested():
+    folder = photographs("uw_spheres")
+    capture = pf.open_capture(folder / "chrome", "linear")
+    with pytest.raises(ValueError, match="no sphere is seen .* perhaps ") as refused:
+        pf.calibrate(capture)
+    words = str(refused.value).partition("perhaps ")[2].partition(" or ")[0]
+    suggested = [float(number) for number in words.split()]
+    np.testing.assert_allclose(suggested, outline(folder, "chrome"), atol=2)
+
+
 @pytest.mark.slow
 def test_strengths_of_lamps_from_the_object_itself(tmp_path, monkeypatch):
     """As the guide finds them, by either half of the pixels."""
