@@ -71,6 +71,7 @@ REMEDIES: Mapping[str, str] = MappingProxyType(
         "unregistered": "Call register(class, kind) before saving",
         # Warnings of calibrations.
         "several-matte": "Give the circle of the one that is meant (matte)",
+        "outline-moved": "Look at the picture: the circle must lie on the rim",
         "outline-unseen": "Look at the picture, or give its circle as a fit by eye",
         "two-highlights": "Look at the picture: two lamps, or something that the "
         "sphere mirrors",

@@ -41,7 +41,7 @@ from phongfit.calibration.outlines import (
 )
 from phongfit.calibration.result import CalibratedSphere, Calibration, Lamp
 from phongfit.calibration.spheres import (
-    SEEN,
+    BY_EYE,
     Crop,
     Developed,
     Images,
@@ -60,6 +60,9 @@ from phongfit.rendering.film import Film
 DISAGREEING = 5.0
 """Photographs with a highlight further than this from the prediction, in σ, are left
 out."""
+
+MOVED = 4.0
+"""Distance of a circle from the sphere's outline that is worth a warning, pixels."""
 
 BEST = np.radians(0.03)
 """Smallest error of a direction, radians: lenses distort and spheres are imperfect."""
@@ -192,14 +195,24 @@ def _placed(
     for (kind, outline), crop in zip(outlines, crops, strict=True):
         placed = place_sphere(crop, outline, kind, view)
         x, y, radius = outline
-        if placed.coverage < SEEN:
+        where = f"{kind} sphere at {x:.0f}, {y:.0f}"
+        if placed is None:
+            error = max(1.0, BY_EYE * radius)
+            spheres.append(CalibratedSphere(kind, outline, error**2 * np.eye(3)))
             words = (
-                f"{kind} sphere at {x:.0f}, {y:.0f}: its outline is hardly seen "
-                f"(on {placed.coverage:.0%} of the circle), so the circle is used as "
-                "given, ± 0.5 pixels"
+                f"{where}: its outline is hardly seen, so the circle is used as given, "
+                f"± {error:.1f} pixels"
             )
             warnings.append(coded("outline-unseen", words))
+            continue
         spheres.append(CalibratedSphere(kind, placed.outline, placed.covariance))
+        distance = np.abs(placed.outline - outline).max()
+        if distance > MOVED:
+            words = (
+                f"{where}: an outline is seen {distance:.0f} pixels from the given "
+                "circle, and is used: {:.0f} {:.0f} {:.0f}".format(*placed.outline)
+            )
+            warnings.append(coded("outline-moved", words))
     return spheres
 
 

@@ -7,6 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from phongfit.calibration.circles import (
+    EXCESS,
+    SEEN_OF_BALL,
     Placed,
     find_circles,
     find_largest_arc,
@@ -27,10 +29,14 @@ SEARCHED = 1000
 """Largest longer side of photographs in the search, pixels; larger ones are shrunk."""
 
 SEEN = 0.85
-"""Smallest visible fraction of the arc for which a circle is moved onto it."""
+"""Visible fraction of the arc of a sphere that is found, or placed without a look
+around."""
 
-NOT_SEEN = 0.5
-"""Error of a circle that is used as given, pixels."""
+AROUND = 0.25
+"""Largest distance, in radii, of an outline from the circle given for it."""
+
+BY_EYE = 0.01
+"""Error of a circle that is used as given, in radii, and at least a pixel."""
 
 NOT_ROUND = {"chrome": (0.06, 0.06, 0.15), "matte": (0.06, 0.06, 0.08)}
 """Smallest errors of a sphere's circle, pixels: x, y and radius. Those of a mirror's
@@ -126,19 +132,44 @@ def cut_out(
     ]
 
 
-def place_sphere(crop: Crop, outline: Outline, kind: Kind, view: View) -> Placed:
-    """Move a sphere's outline onto its edge, or keep it if too little is visible."""
-    placed = place(
-        crop.grey,
-        crop.within(outline),
-        stretch(outline, view),
-        mirrors=kind == "chrome",
-    )
+def place_sphere(crop: Crop, outline: Outline, kind: Kind, view: View) -> Placed | None:
+    """The outline that is seen near a circle, if half of it is.
+
+    Noise can hide it in pixels and not in means of several.
+
+    **Returns:** `None` if too little is seen.
+    """
+    near, longer = crop.within(outline), stretch(outline, view)
+    for size in (1, 2, 4):
+        means = [block_means(image, size).mean(axis=-1) for image in crop.light]
+        placed = _seen_near(np.stack(means), near / size, longer, kind)
+        if placed is not None:
+            moved = placed.outline * size + np.append(crop.corner, 0)
+            spread = placed.covariance * size**2 + np.diag(NOT_ROUND[kind]) ** 2
+            return placed._replace(outline=moved, covariance=spread)
+    return None
+
+
+def _seen_near(
+    grey: Float[np.ndarray, "count height width"],
+    circle: Outline,
+    longer: Float[np.ndarray, "2"],
+    kind: Kind,
+) -> Placed | None:
+    """As [`place_sphere`][], in grey light; `longer` is the outline's `stretch`."""
+    placed = place(grey, circle, longer, mirrors=kind == "chrome")
     if placed.coverage < SEEN:
-        return placed._replace(outline=outline, covariance=NOT_SEEN**2 * np.eye(3))
-    moved = placed.outline + np.append(crop.corner, 0)
-    spread = placed.covariance + np.diag(NOT_ROUND[kind]) ** 2
-    return placed._replace(outline=moved, covariance=spread)
+        others = [
+            other
+            for other in find_circles(grey)
+            if other.coverage >= SEEN_OF_BALL
+            and np.abs(other.outline - circle).max() < AROUND * circle[2]
+        ]
+        if others:
+            start = max(others, key=lambda other: other.arc).outline
+            placed = place(grey, start, longer, mirrors=kind == "chrome")
+    clear = placed.coverage >= SEEN_OF_BALL and placed.excess > EXCESS
+    return placed if clear else None
 
 
 def find_spheres(
