@@ -41,13 +41,13 @@ from phongfit.calibration.outlines import (
 )
 from phongfit.calibration.result import CalibratedSphere, Calibration, Lamp
 from phongfit.calibration.spheres import (
-    BY_EYE,
     Crop,
     Developed,
     Images,
     Kind,
     Outline,
     cut_out,
+    eye_error,
     find_spheres,
     looked_at,
     names_of,
@@ -194,18 +194,10 @@ def _placed(
     spheres = []
     for (kind, outline), crop in zip(outlines, crops, strict=True):
         placed = place_sphere(crop, outline, kind, view)
+        sphere = CalibratedSphere(kind, placed.outline, placed.covariance)
+        spheres.append(sphere)
         x, y, radius = outline
         where = f"{kind} sphere at {x:.0f}, {y:.0f}"
-        if placed is None:
-            error = max(1.0, BY_EYE * radius)
-            spheres.append(CalibratedSphere(kind, outline, error**2 * np.eye(3)))
-            words = (
-                f"{where}: its outline is hardly seen, so the circle is used as given, "
-                f"± {error:.1f} pixels"
-            )
-            warnings.append(coded("outline-unseen", words))
-            continue
-        spheres.append(CalibratedSphere(kind, placed.outline, placed.covariance))
         distance = np.abs(placed.outline - outline).max()
         if distance > MOVED:
             words = (
@@ -213,6 +205,13 @@ def _placed(
                 "circle, and is used: {:.0f} {:.0f} {:.0f}".format(*placed.outline)
             )
             warnings.append(coded("outline-moved", words))
+        elif distance == 0:
+            words = (
+                f"{where}: its outline is hardly seen (on {placed.coverage:.0%} of the "
+                "circle), so the circle is used as given, "
+                f"± {eye_error(radius):.1f} pixels"
+            )
+            warnings.append(coded("outline-unseen", words))
     return spheres
 
 

@@ -34,10 +34,6 @@ around."""
 
 AROUND = 0.25
 """Largest distance, in radii, of an outline from the circle given for it."""
-
-BY_EYE = 0.01
-"""Error of a circle that is used as given, in radii, and at least a pixel."""
-
 NOT_ROUND = {"chrome": (0.06, 0.06, 0.15), "matte": (0.06, 0.06, 0.08)}
 """Smallest errors of a sphere's circle, pixels: x, y and radius. Those of a mirror's
 radius are larger, since its rim mirrors the background and has little contrast."""
@@ -132,22 +128,43 @@ def cut_out(
     ]
 
 
-def place_sphere(crop: Crop, outline: Outline, kind: Kind, view: View) -> Placed | None:
-    """The outline that is seen near a circle, if half of it is.
+def eye_error(radius: float) -> float:
+    """Standard deviation of a circle drawn by eye: 1 % of its radius, at least 1 pixel.
 
-    Noise can hide it in pixels and not in means of several.
+    That of x, y and radius, pixels.
+    """
+    return max(1.0, 0.01 * radius)
 
-    **Returns:** `None` if too little is seen.
+
+def place_sphere(crop: Crop, outline: Outline, kind: Kind, view: View) -> Placed:
+    """Move a sphere's circle onto the outline that is seen near it.
+
+    Noise can hide the outline in pixels and not in means of several. A part of an
+    outline does not place a circle better than the eye: if at least half is seen, it
+    replaces circles that it contradicts; otherwise the circle is returned as it is.
     """
     near, longer = crop.within(outline), stretch(outline, view)
+    eye = eye_error(outline[2])
+    kept: Placed | None = None
     for size in (1, 2, 4):
         means = [block_means(image, size).mean(axis=-1) for image in crop.light]
         placed = _seen_near(np.stack(means), near / size, longer, kind)
-        if placed is not None:
-            moved = placed.outline * size + np.append(crop.corner, 0)
-            spread = placed.covariance * size**2 + np.diag(NOT_ROUND[kind]) ** 2
-            return placed._replace(outline=moved, covariance=spread)
-    return None
+        if placed.excess < EXCESS:
+            continue
+        moved = placed.outline * size + np.append(crop.corner, 0)
+        spread = placed.covariance * size**2 + np.diag(NOT_ROUND[kind]) ** 2
+        placed = placed._replace(outline=moved, covariance=spread)
+        if placed.coverage >= SEEN:
+            return placed
+        if kept is None or placed.coverage > kept.coverage:
+            kept = placed
+    given = Placed(outline, eye**2 * np.eye(3), 0.0, 0.0)
+    if kept is None:
+        return given
+    distance = np.abs(kept.outline - outline).max()
+    if kept.coverage < SEEN_OF_BALL or distance < 2 * eye:
+        return given._replace(coverage=kept.coverage)
+    return kept._replace(covariance=kept.covariance + given.covariance)
 
 
 def _seen_near(
@@ -155,8 +172,8 @@ def _seen_near(
     circle: Outline,
     longer: Float[np.ndarray, "2"],
     kind: Kind,
-) -> Placed | None:
-    """As [`place_sphere`][], in grey light; `longer` is the outline's `stretch`."""
+) -> Placed:
+    """The outline nearest to a circle; `longer` is its `stretch`."""
     placed = place(grey, circle, longer, mirrors=kind == "chrome")
     if placed.coverage < SEEN:
         others = [
@@ -168,8 +185,7 @@ def _seen_near(
         if others:
             start = max(others, key=lambda other: other.arc).outline
             placed = place(grey, start, longer, mirrors=kind == "chrome")
-    clear = placed.coverage >= SEEN_OF_BALL and placed.excess > EXCESS
-    return placed if clear else None
+    return placed
 
 
 def find_spheres(

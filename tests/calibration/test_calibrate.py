@@ -355,17 +355,20 @@ def test_photographs_of_unequal_size_are_named(distant):
         calibrated(studio, images)
 
 
-def test_a_sphere_is_placed_by_the_half_that_the_stand_does_not_hide():
+def test_a_sphere_that_the_stand_hides_is_taken_as_given():
     studio = Studio(balls=(Ball("chrome", (0, 0, -10.0), 0.8),))
     images = [studio.photograph(lamp, seed=n) for n, lamp in enumerate(LAMPS[:FEW])]
     for image in images:
         image[90:] = 0.0  # cloth
     circle = studio.circles("chrome")[0]
     found = pf.calibrate(images, chrome=[circle], fov=studio.fov)
-    (sphere,) = found.spheres
-    error = np.sqrt(np.diag(sphere.covariance))
-    assert np.abs((sphere.outline - circle) / error).max() < 2
-    assert error.max() < 0.5
+    assert tuple(found.spheres[0].outline) == pytest.approx(circle)
+    assert any("circle is used as given" in warning for warning in found.warnings)
+    # Unless the half that is seen contradicts it.
+    wrong = np.asarray(circle) + (0, 5, 0)
+    found = pf.calibrate(images, chrome=[wrong], fov=studio.fov)
+    np.testing.assert_allclose(found.spheres[0].outline, circle, atol=1)
+    assert "outline-moved" in map(pf.warning_code, found.warnings)
 
 
 def test_it_prints_as_a_table(found):
