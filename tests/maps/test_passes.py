@@ -64,9 +64,9 @@ def angles(maps: pf.Maps, surface: pf.NormalMap) -> np.ndarray:
 def test_near_lamps_tell_where_the_surface_is(tmp_path):
     scenes, images, surface, _ = hills(near=True)
     folder = tmp_path / "tiles"
-    once = found(scenes, images, passes=1, output=folder)
+    once = found(scenes, images, passes=1, out=folder)
     # Three passes are the default with near lamps; here they do not quite do.
-    again = found(scenes, images, passes=4, output=folder)
+    again = found(scenes, images, passes=4, out=folder)
     assert [pf.warning_code(one) for one in once.warnings] == ["pixels-misplaced"]
     assert not again.warnings
     wrong = [abs(np.median(m.specular[m.identified]) / 0.3 - 1) for m in (once, again)]
