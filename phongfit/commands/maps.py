@@ -220,14 +220,12 @@ def _fit(
     **Returns:** maps, data, and notes for the user.
     """
     stored = is_store(options.data.dataset) or is_store(options.out)
-    parts = (given["passes"], given["strengths"], given["materials"]) == (
-        *(1, "given", None),
-    )
-    load = not stored or not parts or options.tile_pixels is not None
+    whole = given["passes"], given["strengths"], given["materials"]
+    load = not stored or (*whole, options.tile_pixels) != (1, "given", None, None)
     if is_store(options.data.dataset):
         read, stack = read_stored(options.data), None
     else:
-        read, stack = _read_photographs(options, given, load)
+        read, stack = _read_photographs(options, given, stored)
     if stored and (load or not is_store(options.out)):
         check_room(read)
     if is_store(options.out) and options.overwrite:
@@ -239,30 +237,28 @@ def _fit(
             page = dashboard(client)
             if page is not None:
                 print(f"dask: {page}", flush=True)
-        more: dict[str, Any] = {"load": load, "client": client}
-        found = fit_maps(
-            read.scenes,
-            read.stack,
-            tile_pixels=options.tile_pixels,
-            out=out,
-            **more | given | read.arguments,
-        )
+        more = given | {"load": load, "tile_pixels": options.tile_pixels}
+        more |= read.arguments
+        found = fit_maps(read.scenes, read.stack, out=out, client=client, **more)
     notes = [] if stack is None or not load else _notes(options, stack, given, found)
     return found, read, notes
 
 
 def _read_photographs(
-    options: Options, given: dict[str, Any], load: bool
+    options: Options, given: dict[str, Any], stored: bool
 ) -> tuple[Input, DatasetStack]:
-    """Photographs; `given` is completed by what depends on them."""
+    """Photographs; `given` is completed by what depends on them.
+
+    **Arguments:** `stored`: whether the maps go to a store.
+    """
     stack, record = stack_data(options.data)
     tell(stack.photographs.notes)
     if options.data.fov == "fit":
         stack, record = _with_fitted_fov(stack, record, given)
     photographs = stack.photographs
-    if load and options.passes is None and options.data.sought:
+    if not stored and options.passes is None and options.data.sought:
         given["passes"] = usual_passes(photographs.scenes)
-    if load and options.strengths is None and _lacks_strengths(options, stack):
+    if not stored and options.strengths is None and _lacks_strengths(options, stack):
         given["strengths"] = "auto"
     if options.highlight == "shared":
         given |= {"known": _shared(photographs, given), "unknowns": SHARED}

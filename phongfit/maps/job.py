@@ -83,18 +83,22 @@ class Geometry:
 
     def part(self, window: Window) -> "Geometry":
         """The geometry of a rectangle."""
-        pixels = np.arange(self.mask.size).reshape(self.mask.shape)[window].ravel()
+        pixels = np.arange(self.mask.size).reshape(self.mask.shape)[window]
+        return dataclasses.replace(self.take(pixels.ravel()), mask=self.mask[window])
+
+    def take(self, pixels: np.ndarray) -> "Geometry":
+        """The geometry of some pixels, with the mask of all."""
 
         def rows(table: np.ndarray) -> np.ndarray:
             return table if len(table) == 1 else table[pixels]
 
         seen = self.visibility
-        return Geometry(
-            self.normal[pixels],
-            rows(self.position),
-            rows(self.to_viewer),
-            None if seen is None else seen[..., pixels],
-            self.mask[window],
+        return dataclasses.replace(
+            self,
+            normal=self.normal[pixels],
+            position=rows(self.position),
+            to_viewer=rows(self.to_viewer),
+            visibility=None if seen is None else seen[..., pixels],
         )
 
     def tile(
@@ -102,24 +106,21 @@ class Geometry:
     ) -> Tile:
         """The tile of some pixels, padded to `size` pixels."""
         missing = size - len(pixels)
-        padded = np.pad(pixels, (0, missing), mode="edge")
 
         def fill(samples: np.ndarray) -> np.ndarray:
             if not missing:
                 return samples
             return np.pad(samples, ((0, 0), (0, missing), (0, 0)))
 
-        def rows(table: np.ndarray) -> np.ndarray:
-            return table if len(table) == 1 else table[padded]
-
-        seen = self.visibility
+        some = self.take(np.pad(pixels, (0, missing), mode="edge"))
+        seen = some.visibility
         return Tile(
             fill(target.numbers),
             fill(used),
-            self.normal[padded],
-            rows(self.position),
-            rows(self.to_viewer),
-            None if seen is None else seen[..., padded].astype(self.normal.dtype),
+            some.normal,
+            some.position,
+            some.to_viewer,
+            None if seen is None else seen.astype(some.normal.dtype),
             target.table,
             np.array(len(pixels)),
         )

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import json
 import os
 import shutil
 import signal
@@ -233,6 +234,38 @@ def test_another_job_is_refused(tmp_path):
     (tmp_path / "full" / "a.txt").write_text("a")
     with pytest.raises(OSError, match=r"is not replaced, since it holds a\.txt"):
         fitted(out=tmp_path / "full")
+
+
+def test_stores_of_before_and_old_names(maps, tmp_path):
+    with pytest.warns(DeprecationWarning, match="write out="):
+        same(fitted(output=tmp_path / "tiles"), maps)
+    options: Any = {"unknowns": ("diffuse",), "film": pf.Film(clamp=False)}
+    out = tmp_path / "maps"
+    with pytest.warns(DeprecationWarning, match="load=False"):
+        stored = pf.fit_stored_maps(stack().scenes, stack().images, out, **options)
+    same(stored.load(), maps)
+    # Version 1 has no arrays of the maps as a whole.
+    record = json.loads((out / "zarr.json").read_text())
+    record["attributes"] |= {"version": 1}
+    del record["attributes"]["whole"]
+    (out / "zarr.json").write_text(json.dumps(record))
+    same(pf.StoredMaps(out).load(slice(0, 48)), maps)
+
+
+@pytest.mark.parametrize(
+    "options, told",
+    [
+        ({"out": "a", "passes": 2, "normals": "fit"}, "passes: expected 1"),
+        ({"out": "a", "tile_pixels": 9}, "tile_pixels: expected None"),
+        ({"out": "a", "normals": "fit", "strengths": "fit"}, "strengths: expected"),
+        ({}, "out: expected a store with load=False"),
+        ({"load": True, "client": 1}, "client: expected load=False"),
+        ({"load": True, "block": (2, 2)}, "block: expected it with out alone"),
+    ],
+)
+def test_what_blocks_one_by_one_do_not_allow(options, told):
+    with pytest.raises(ValueError, match=told):
+        pf.fit_maps(stack().scenes, stack().images, **{"load": False} | options)
 
 
 def test_other_noise_is_another_job():

@@ -152,6 +152,10 @@ def test_a_run_that_goes_on_has_the_same_materials(one, maps, tmp_path):
     (folder / "diffuse" / "c" / "0" / "0").unlink()
     second = found(one, out=folder, materials=1)
     np.testing.assert_array_equal(first.normals, second.normals)
+    stored = pf.StoredMaps(folder).load().materials
+    assert stored is not None and second.materials is not None
+    assert str(stored) == str(second.materials)
+    np.testing.assert_array_equal(stored.weights, second.materials.weights)
     with pytest.raises(ValueError, match="of another job"):
         found(one, out=folder, materials=2)
 
