@@ -149,7 +149,7 @@ def test_a_run_that_goes_on_has_the_same_materials(one, maps, tmp_path):
     folder = tmp_path / "tiles"
     first = found(one, out=folder, materials=1)
     np.testing.assert_array_equal(first.normals, maps.normals)
-    (folder / "diffuse" / "c" / "0" / "0").unlink()
+    (folder / "diffuse" / "c" / "0" / "0" / "0").unlink()
     second = found(one, out=folder, materials=1)
     np.testing.assert_array_equal(first.normals, second.normals)
     stored = pf.StoredMaps(folder).load().materials
