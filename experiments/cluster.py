@@ -132,10 +132,11 @@ def time_fit(client: Any, stack: Path, output: Path) -> float:
     start = time.perf_counter()
     # One block for each shard: by default small shards share a block.
     _, *block, _ = images.array.chunks
-    pf.fit_stored_maps(
+    pf.fit_maps(
         scenes(height, width),
         images,
-        output,
+        out=output,
+        load=False,
         client=client,
         block=(block[0], block[1]),
         progress=False,
@@ -205,14 +206,10 @@ def overhead(client: Any, count: int) -> float:
     return (time.perf_counter() - start) / count
 
 
-def empty_block(place: Place, number: int) -> tuple[dict[str, int], bool]:
-    """Do nothing in place of [`fit_block`][].
-
-    **Returns:** as `fit_block` does: counts of the block's pixels, here none, and
-    whether it was fitted.
-    """
+def empty_block(place: Place, number: int) -> dict[str, int]:
+    """Do nothing in place of [`fit_block`][]; returns counts of no pixels."""
     del place, number
-    return {}, False
+    return {}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -235,7 +232,7 @@ class Options:
 
 
 def main(options: Options) -> int:
-    """Time `fit_stored_maps` on a local Dask cluster, also while workers are killed.
+    """Time `fit_maps` on a local Dask cluster, also while workers are killed.
 
     Exit status 1 if killed workers change any bit of the maps.
 

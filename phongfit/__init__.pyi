@@ -76,13 +76,12 @@ from .lights import (
     PointLight as PointLight,
     SpotLight as SpotLight,
 )
-from .maps.cluster import fit_stored_maps as fit_stored_maps
 from .maps.pixel.settings import Flag as Flag
 from .maps.result import (
     Maps as Maps,
     load_maps as load_maps,
 )
-from .maps.run import fit_maps as fit_maps
+from .maps.run import fit_maps as fit_maps, fit_stored_maps as fit_stored_maps
 from .maps.stacks import (
     DatasetStack as DatasetStack,
     PhotographStack as PhotographStack,

@@ -19,25 +19,28 @@ from phongfit.commands.options import (
     parse_bounds,
 )
 from phongfit.commands.progress import stage
-from phongfit.commands.stored import (
-    Input,
-    check_room,
-    check_stored,
-    erase_maps,
-    fit_to_store,
-    read_input,
-)
+from phongfit.commands.stored import Input, read_stored
+from phongfit.files.budget import afford
 from phongfit.files.dataset import Photographs
 from phongfit.files.fits import DataRecord, LossName
 from phongfit.files.inputs import naming
 from phongfit.files.materials import read_material
 from phongfit.files.outputs import OVERWRITE, replacing, replacing_folder
 from phongfit.files.schema import describe_material
-from phongfit.files.zarrs import address, is_store
+from phongfit.files.zarrs import (
+    address,
+    attributes,
+    erase,
+    is_remote,
+    is_store,
+    open_group,
+)
 from phongfit.fitting.fit import fit
 from phongfit.fitting.problem.parameters import EXPOSURE
 from phongfit.geometry.cameras import OrthographicCamera
 from phongfit.lights import DirectionalLight
+from phongfit.maps.blocks import source_of
+from phongfit.maps.cluster import dashboard, dask_client
 from phongfit.maps.folder import (
     ARRAYS_FILE,
     NORMALS_FILE,
@@ -49,8 +52,9 @@ from phongfit.maps.folder import (
 from phongfit.maps.passes import usual_passes
 from phongfit.maps.result import MAP_PARAMETERS, Maps, StrengthsName
 from phongfit.maps.run import fit_maps
-from phongfit.maps.stacks import DatasetStack
-from phongfit.maps.stored import StoredMaps
+from phongfit.maps.stacks import AbstractStack, DatasetStack
+from phongfit.maps.store import check_place
+from phongfit.maps.stored import STORE_FORMAT, StoredMaps
 from phongfit.maps.view_angle import check_fov, fit_fov, seen_over
 from phongfit.material import Material
 from phongfit.plain import plain
@@ -62,6 +66,8 @@ OURS = {
     *(f"{name}.{suffix}" for name in MAP_PARAMETERS for suffix in ("png", "tif")),
     *(f"stderr_{name}.tif" for name in MAP_PARAMETERS),
 }
+PIXEL = 110
+"""Bytes of memory for the maps of a pixel."""
 SHARED = ("ambient", "diffuse")
 """Unknowns of each pixel if all pixels share one highlight."""
 EQUAL_STRENGTHS = (
@@ -160,29 +166,34 @@ def main(options: Options) -> int:
     dataset = options.data.dataset
     if options.data.fov == "fit" and not options.data.sought:
         raise ValueError("fov: expected degrees where normals are given, got fit")
-    if options.dask is not None and not is_store(dataset):
+    if is_store(dataset):
+        whole = "with a zarr array, since {} found from images that are whole in memory"
+        if options.highlight == "shared":
+            why = whole.format("a shared one is")
+            raise ValueError(f"highlight: expected own {why}, got shared")
+        if options.data.fov == "fit":
+            raise ValueError(f"fov: expected degrees {whole.format('it is')}, got fit")
+    elif options.dask is not None:
         raise ValueError(
             f"dask: {options.dask} wants a zarr array as DATASET, got {dataset}"
         )
-    stored = is_store(dataset) or is_store(options.out)
-    if stored:
-        check_stored(options)
+    given = arguments(options)
     if is_store(options.out):
-        print(_to_store(options), flush=True)
+        found, _, notes = _fit(options, given, address(options.out))
+        print("\n".join([str(found), *notes]), flush=True)
         return 0
     if not options.overwrite and (options.out / RECORD_FILE).exists():
         raise OSError(f"{options.out}: there are maps in it; {OVERWRITE}")
     with replacing_folder(options.out, replaceable(options)) as folder:
-        given = arguments(options)
-        make = _of_store if stored else _of_photographs
-        found, read, notes = make(options, given)
+        found, read, notes = _fit(options, given, str(options.out / TILES))
+        maps = found if isinstance(found, Maps) else found.load()
         with _resumable(options):
-            save(folder, found, read, given)
+            save(folder, maps, read, given)
         with keeping(options.out, folder) as kept:
-            print("\n".join([str(found), *notes]), flush=True)
+            print("\n".join([str(maps), *notes]), flush=True)
             if options.pictures:
                 with stage("drawing"):
-                    draw(folder, found)
+                    draw(folder, maps)
     kept.tell()
     return 0
 
@@ -198,61 +209,99 @@ def _resumable(options: Options) -> Iterator[None]:
         raise
 
 
-def _to_store(options: Options) -> StoredMaps:
-    """Fit maps into a zarr store."""
-    given, read = arguments(options), read_input(options.data)
-    if options.overwrite:
-        erase_maps(address(options.out), read.stack)
-    with _resumable(options):
-        return fit_to_store(options, read, given, address(options.out))
+def _fit(
+    options: Options, given: dict[str, Any], out: str
+) -> tuple[Maps | StoredMaps, Input, list[str]]:
+    """Fit maps into a store, and complete `given` by what depends on the photographs.
 
-
-def _of_store(options: Options, given: dict[str, Any]) -> tuple[Maps, Input, list[str]]:
-    """Fit images of a zarr store; the maps must fit into memory."""
-    read = read_input(options.data)
-    check_room(read)
-    with _resumable(options):
-        found = fit_to_store(options, read, given, str(options.out / TILES))
-    return found.load(), read, []
-
-
-def _of_photographs(
-    options: Options, given: dict[str, Any]
-) -> tuple[Maps, Input, list[str]]:
-    """Fit photographs, and complete `given` by what depends on them.
+    From or to zarr, images and maps need not fit into memory unless an option needs
+    them whole.
 
     **Returns:** maps, data, and notes for the user.
     """
-    stack, read = stack_data(options.data)
+    stored = is_store(options.data.dataset) or is_store(options.out)
+    whole = given["passes"], given["strengths"], given["materials"]
+    load = not stored or (*whole, options.tile_pixels) != (1, "given", None, None)
+    if is_store(options.data.dataset):
+        read, stack = read_stored(options.data), None
+    else:
+        read, stack = _read_photographs(options, given, stored)
+    if stored and (load or not is_store(options.out)):
+        check_room(read)
+    if is_store(options.out) and options.overwrite:
+        erase_maps(out, read.stack)
+    with _resumable(options), contextlib.ExitStack() as place:
+        client = None
+        if options.dask is not None:
+            client = place.enter_context(dask_client(options.dask))
+            page = dashboard(client)
+            if page is not None:
+                print(f"dask: {page}", flush=True)
+        more = given | {"load": load, "tile_pixels": options.tile_pixels}
+        more |= read.arguments
+        found = fit_maps(read.scenes, read.stack, out=out, client=client, **more)
+    notes = [] if stack is None or not load else _notes(options, stack, given, found)
+    return found, read, notes
+
+
+def _read_photographs(
+    options: Options, given: dict[str, Any], stored: bool
+) -> tuple[Input, DatasetStack]:
+    """Photographs; `given` is completed by what depends on them.
+
+    **Arguments:** `stored`: whether the maps go to a store.
+    """
+    stack, record = stack_data(options.data)
     tell(stack.photographs.notes)
     if options.data.fov == "fit":
-        stack, read = _with_fitted_fov(stack, read, given)
+        stack, record = _with_fitted_fov(stack, record, given)
     photographs = stack.photographs
-    if options.passes is None and options.data.sought:
+    if not stored and options.passes is None and options.data.sought:
         given["passes"] = usual_passes(photographs.scenes)
-    if options.strengths is None and _lacks_strengths(options, stack):
+    if not stored and options.strengths is None and _lacks_strengths(options, stack):
         given["strengths"] = "auto"
     if options.highlight == "shared":
         given |= {"known": _shared(photographs, given), "unknowns": SHARED}
-    with _resumable(options):
-        found = fit_maps(
-            photographs.scenes,
-            stack,
-            mask=stack.mask,
-            film=photographs.films(),
-            tile_pixels=options.tile_pixels,
-            output=options.out / TILES,
-            **given,
-        )
+    mask = None if stack.mask.all() else stack.mask
+    more = {"mask": mask, "film": photographs.films()}
+    return Input(photographs.scenes, stack, photographs.film, more, record), stack
+
+
+def _notes(
+    options: Options, stack: DatasetStack, given: dict[str, Any], found: Maps
+) -> list[str]:
+    """Notes for the user on maps of photographs."""
     notes = []
     if given["strengths"] == "auto" and found.strengths is None:
         notes.append(EQUAL_STRENGTHS)
-    if photographs.uncertain:
+    if stack.photographs.uncertain:
         notes.append(HELD)
     if "specular" in given["unknowns"] and _assumes_parallel_rays(options, stack):
         doubtful = _fov_warning(stack, given)
         notes += [] if doubtful is None else [f"warning: {doubtful}"]
-    return found, Input(photographs.scenes, stack, photographs.film, {}, read), notes
+    return notes
+
+
+def check_room(read: Input) -> None:
+    """Check that memory can hold the maps, before the fit."""
+    _, height, width = read.stack.shape
+    with naming("out"):
+        # A zarr store would not need this memory.
+        afford(PIXEL * height * width, f"maps of {height} × {width} pixels")
+
+
+def erase_maps(output: str, images: AbstractStack) -> None:
+    """Remove older maps, and nothing else.
+
+    **Raises:** `OSError` that names an existing store that has no maps.
+    """
+    if not is_remote(output):
+        check_place(output, source_of(images))
+        if not Path(output).exists() or not any(Path(output).iterdir()):
+            return
+    if attributes(open_group(output)).get("format") != STORE_FORMAT:
+        raise OSError(f"{output}: is not replaced, since it holds no maps")
+    erase(output)
 
 
 def _with_fitted_fov(

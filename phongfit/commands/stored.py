@@ -1,14 +1,12 @@
-"""Inputs and outputs of `phongfit maps` in zarr, perhaps fitted on a Dask cluster."""
+"""Images of `phongfit maps` in a zarr store, and what is beside it."""
 
-import contextlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from phongfit.commands.data import DataOptions, stack_data, tell
+from phongfit.commands.data import DataOptions
 from phongfit.edge import shown
-from phongfit.files.budget import afford
 from phongfit.files.capture_data import (
     calibration_of,
     facing,
@@ -18,41 +16,22 @@ from phongfit.files.capture_data import (
 )
 from phongfit.files.encodings import parse_encoding
 from phongfit.files.fits import DataRecord
-from phongfit.files.inputs import naming, recording
+from phongfit.files.inputs import recording
 from phongfit.files.lp import read_camera_lp
 from phongfit.files.matching import base_name
 from phongfit.files.scenes import SCENE_FILE, load_views
 from phongfit.files.seen import SOUGHT, camera_of, seen_in
-from phongfit.files.zarrs import (
-    address,
-    attributes,
-    erase,
-    fingerprint,
-    is_remote,
-    is_store,
-    open_group,
-    store_of,
-)
+from phongfit.files.zarrs import address, attributes, fingerprint
 from phongfit.geometry.cameras import OrthographicCamera
 from phongfit.geometry.surfaces import AbstractSurface, NormalMap
-from phongfit.maps.cluster import dashboard, dask_client, fit_stored_maps
 from phongfit.maps.stacks import AbstractStack, ZarrStack
-from phongfit.maps.store import check_place
-from phongfit.maps.stored import STORE_FORMAT, StoredMaps
 from phongfit.plain import readable
 from phongfit.rendering.film import Film
 from phongfit.scene import Scene
 
-if TYPE_CHECKING:
-    from phongfit.commands.maps import Options
-
-
-PIXEL = 110
-"""Bytes of memory for the maps of a pixel."""
-
 
 class Input(NamedTuple):
-    """Data to fit, with further arguments of [`fit_stored_maps`][]."""
+    """Data to fit, with further arguments of [`fit_maps`][]."""
 
     scenes: tuple[Scene, ...]
     stack: AbstractStack
@@ -61,93 +40,7 @@ class Input(NamedTuple):
     record: DataRecord
 
 
-def check_stored(options: "Options") -> None:
-    """Check the options of a run from or to zarr.
-
-    **Raises:** `ValueError` that names the option.
-    """
-    whole = "since a shared one is found with all images in memory"
-    for name, usual, why in (
-        ("highlight", ("own",), whole),
-        ("tile_pixels", (None,), "since chunks or shards are read as a whole"),
-        ("passes", (1, None), "since the surface would have to be whole in memory"),
-        ("strengths", ("given", None), "since they are found from all images"),
-    ):
-        given = getattr(options, name)
-        if given not in usual:
-            expected = "none" if usual[0] is None else usual[0]
-            raise ValueError(
-                f"{name}: expected {expected} from or to zarr, {why}, got {given}"
-            )
-    if options.data.fov == "fit":
-        raise ValueError(
-            "fov: expected degrees from or to zarr, since the angle is found before "
-            "the maps, got fit"
-        )
-
-
-def read_input(options: DataOptions) -> Input:
-    """Scenes and images of a store, or of photographs, which are decoded.
-
-    **Raises:** `ValueError` that names the file or the option.
-    """
-    if is_store(options.dataset):
-        return _read(options)
-    stack, record = stack_data(options)
-    photographs = stack.photographs
-    tell(photographs.notes)
-    mask = None if stack.mask.all() else stack.mask
-    more = {"mask": mask, "film": photographs.films()}
-    return Input(photographs.scenes, stack, photographs.film, more, record)
-
-
-def check_room(read: Input) -> None:
-    """Check that memory can hold the maps of a folder, before the fit."""
-    _, height, width = read.stack.shape
-    with naming("out"):
-        # A zarr store would not need this memory.
-        afford(PIXEL * height * width, f"a folder of maps of {height} × {width} pixels")
-
-
-def fit_to_store(
-    options: "Options", read: Input, given: dict[str, Any], output: str
-) -> StoredMaps:
-    """Fit maps into a store, in this process or by Dask workers."""
-    given = {
-        name: x for name, x in given.items() if name not in ("passes", "strengths")
-    }
-    with contextlib.ExitStack() as place:
-        client = None
-        if options.dask is not None:
-            client = place.enter_context(dask_client(options.dask))
-            page = dashboard(client)
-            if page is not None:
-                print(f"dask: {page}", flush=True)
-        return fit_stored_maps(
-            read.scenes,
-            read.stack,
-            output,
-            client=client,
-            **given | read.arguments,
-        )
-
-
-def erase_maps(output: str, images: AbstractStack) -> None:
-    """Remove older maps, and nothing else.
-
-    **Raises:** `OSError` that names an existing store that has no maps.
-    """
-    if not is_remote(output):
-        stored = isinstance(images, ZarrStack)
-        check_place(output, store_of(images.array) if stored else None)
-        if not Path(output).exists() or not any(Path(output).iterdir()):
-            return
-    if attributes(open_group(output)).get("format") != STORE_FORMAT:
-        raise OSError(f"{output}: is not replaced, since it holds no maps")
-    erase(output)
-
-
-def _read(options: DataOptions) -> Input:
+def read_stored(options: DataOptions) -> Input:
     """The images of a store, with scenes and lights from files beside it.
 
     **Raises:** `ValueError` that names the file or the option.

@@ -186,6 +186,13 @@ def read_window(array: "Array", window: Window) -> np.ndarray:
         return np.asarray(array[window])
 
 
+def cut(array: Any, window: Window) -> np.ndarray:
+    """A part of an array in memory, or as [`read_window`][] of one in a store."""
+    if hasattr(array, "store"):
+        return read_window(array, window)
+    return np.asarray(array[window])
+
+
 def write_window(array: "Array", window: Window, values: np.ndarray) -> None:
     """Write a rectangle of whole chunks.
 
@@ -236,7 +243,7 @@ def keep_array(
     """
     chunks = (*chunks, *array.shape[len(chunks) :])
     made = make_array(group, name, array.shape, array.dtype, chunks)
-    write_window(made, (slice(None),), array)
+    write_window(made, (slice(None),) * array.ndim, array)
 
 
 def writable(group: "Group", name: str) -> "Array":

@@ -7,25 +7,35 @@ memory, so that workers, scheduler and this process may die at any moment.
 
 import contextlib
 import importlib.util
+import math
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from phongfit.cache import cache_environment
-from phongfit.checks import untraced
-from phongfit.edge import checked, shown
-from phongfit.files.zarrs import open_group, require, store_of, write_attributes
+from phongfit.edge import shown
+from phongfit.files.zarrs import require
+from phongfit.geometry.surfaces import NormalMap
 from phongfit.maps.ahead import ahead
-from phongfit.maps.blocks import Counts, Place, fit_block, make_place
-from phongfit.maps.run import as_team, bar
+from phongfit.maps.blocks import (
+    Blocks,
+    Kept,
+    Place,
+    fit_block,
+    make_blocks,
+    make_place,
+)
+from phongfit.maps.job import Job
 from phongfit.maps.stacks import AbstractStack, ZarrStack
-from phongfit.maps.store import alone_at
-from phongfit.maps.stored import StoredMaps
-from phongfit.scene import Scene
+from phongfit.maps.stored import StoredMaps, complete
+from phongfit.maps.tiles import as_team, bar
 
 if TYPE_CHECKING:
     import distributed
+
+    from phongfit.files.zarrs import Group
 
 ONE_CORE = {
     "NPROC": "1",
@@ -39,107 +49,66 @@ BESIDE = 8
 """Maximum number of blocks that one process fits in parallel, to limit memory."""
 
 
-@checked
-def fit_stored_maps(
-    scenes: Sequence[Scene],
-    images: Any,
-    output: str | os.PathLike[str],
-    *,
-    client: Any = None,
-    block: tuple[int, int] | None = None,
-    progress: bool = True,
-    **options: Any,
-) -> StoredMaps:
-    """Fit maps as by [`fit_maps`][], if images or maps do not fit into memory.
+def fit_apart(job: Job, kept: Kept, client: Any, progress: bool) -> StoredMaps:
+    """Fit maps that need not fit into memory, by this process or by workers.
 
-    Each block is read from a zarr store, or from photographs, and written to another
-    store, by this process or by the workers of a Dask cluster, with one block at a time
-    per thread. An interrupted run continues when it is started again, with
-    bit-identical results: finished blocks are compared with their checksums, and not
-    fitted again. Results are bit-identical on processors of one kind.
+    **Arguments:** `client`: see [`client_for`][].
 
-        stack = pf.ZarrStack("dome/stack.zarr")
-        with Client("tcp://10.0.0.1:8786") as client:
-            pf.fit_stored_maps(scenes, stack, "dome/maps.zarr", client=client)
-
-    **Arguments:**
-
-    - `scenes`: as in [`fit_maps`][]. A normal map of one pixel stands for a plane.
-    - `images`: a [`ZarrStack`][], or the path or URL of one; or another stack, such as
-        [`DatasetStack`][], which only this process can read, without a client.
-    - `output`: the path or URL of a zarr store that is new, or of the same job. Its
-        chunks are the blocks.
-    - `client`: client of a Dask cluster; default: the current one, or else this process
-        does the work. Workers should have one thread each: see the guide.
-    - `block`: rows and columns of a block. Default: as many of the images' shards or
-        chunks as hold 64 MB of stored samples.
-    - `progress`: show a bar on a terminal, or occasional lines elsewhere.
-    - `options`: those of [`fit_maps`][]: `unknowns`, `per_channel`, `known`, `bounds`,
-        `mask`, `noise`, `film`, `loss`, `normals`, `start` and `min_cosine`.
-
-    **Returns:** [`StoredMaps`][]. They have no warnings of the maps as a whole, such as
-    those of misplaced pixels or of the lamps' strengths.
-
-    **Raises:** `ValueError` that names the argument, or the store that is missing or
-    broken; `OSError` if the output cannot be written, another run writes there, or the
-    cluster is gone. Finished blocks are kept.
+    **Raises:** as [`fit_maps`][] does.
     """
-    untraced("fit_stored_maps is no function that JAX can trace", scenes=scenes)
-    stack = images if isinstance(images, AbstractStack) else ZarrStack(images)
-    stored = stack if isinstance(stack, ZarrStack) else None
-    if stored is None and client is not None:
+    surface, size = job.scenes[0].surface, job.stack.shape[1:]
+    if isinstance(surface, NormalMap) and surface.mask.shape not in ((1, 1), size):
         raise ValueError(
-            "client: expected none with photographs that this process reads; workers "
-            "read a zarr array"
+            f"scenes: expected a normal map of {size} pixels, as the images have, got "
+            f"{surface.mask.shape}"
         )
-    client = _current() if client is None and stored is not None else client
-    _check_client(client)
-    source = None if stored is None else store_of(stored.array)
-    with alone_at(output, source) as output:
-        place, count = make_place(tuple(scenes), stack, output, block, **options)
-        done = (
-            _here(place, count, None if stored else stack)
-            if client is None
-            else _spread(client, place, count)
-        )
-        total: Counts = {}
-        for _, (counts, _) in bar(done, count, progress, "blocks"):
-            total = {name: total.get(name, 0) + n for name, n in counts.items()}
-        write_attributes(open_group(output, "r+"), {"counts": total})
-    return StoredMaps(output)
+    blocks, group = make_blocks(job, kept)
+    count = math.prod(blocks.store(group).grid)
+    if client is None:
+        done = _here(blocks, group, count)
+    else:
+        done = _spread(client, make_place(blocks, group, kept.output), count)
+    total: Counter[str] = Counter()
+    for _, counts in bar(done, count, progress, "blocks"):
+        total.update(counts)
+    complete(kept.output, total)
+    return StoredMaps(kept.output)
 
 
 def _here(
-    place: Place, count: int, stack: AbstractStack | None
-) -> Iterator[tuple[int, tuple[Counts, bool]]]:
-    """Fit blocks in this process, some in parallel, and yield them in order."""
-    devices, threads = as_team()
-    cpu = devices[0].platform == "cpu"
-    beside = min(threads if cpu else len(devices), BESIDE)
+    blocks: Blocks, group: "Group", count: int
+) -> Iterator[tuple[int, dict[str, int]]]:
+    """Fit blocks in this process, some in parallel, and yield their counts in order."""
+    team = as_team()
+    cpu = team.devices[0].platform == "cpu"
+    beside = min(team.threads if cpu else len(team.devices), BESIDE)
 
-    def fit(number: int) -> tuple[Counts, bool]:
-        return fit_block(place, number + 1, stack, threads // beside)
+    def fit(number: int, threads: int = team.threads // beside) -> dict[str, int]:
+        return blocks.counts(blocks.fit(group, number, team, threads))
 
     # The first alone, since the others use the program that it compiles.
-    yield 0, fit_block(place, 0, stack, threads)
-    for number, done in ahead(fit, count - 1, beside):
-        yield number + 1, done
+    yield 0, fit(0, team.threads)
+    for number, counts in ahead(lambda k: fit(k + 1), count - 1, beside):
+        yield number + 1, counts
 
 
-def _current() -> "distributed.Client | None":
-    """The current client, if this process has one."""
-    distributed = sys.modules.get("distributed")
-    if distributed is None:
+def client_for(stack: AbstractStack, client: Any) -> "distributed.Client | None":
+    """The client whose workers fit maps of a stack; by default the current one.
+
+    **Raises:** `ValueError` for another object, or if workers cannot read the stack.
+    """
+    if not isinstance(stack, ZarrStack):
+        if client is not None:
+            raise ValueError(
+                "client: expected none with photographs that this process reads; "
+                "workers read a zarr array"
+            )
         return None
-    try:
-        return distributed.get_client()
-    except ValueError:
-        return None
-
-
-def _check_client(client: Any) -> None:
     if client is None:
-        return
+        module = sys.modules.get("distributed")
+        with contextlib.suppress(ValueError):
+            return None if module is None else module.get_client()
+        return None
     require("distributed")
     import distributed
 
@@ -147,11 +116,12 @@ def _check_client(client: Any) -> None:
         raise ValueError(
             f"client: expected a Client of Dask's that waits, got {shown(client)}"
         )
+    return client
 
 
 def _spread(
     client: "distributed.Client", place: Place, count: int
-) -> Iterator[tuple[int, tuple[Counts, bool]]]:
+) -> Iterator[tuple[int, dict[str, int]]]:
     """Submit all blocks to workers, and yield a number and each one as it is finished.
 
     **Raises:** `ValueError` or `OSError` of a block; `OSError` if the cluster is gone,

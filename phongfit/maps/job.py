@@ -13,9 +13,11 @@ import numpy as np
 
 from phongfit.edge import shown
 from phongfit.files.coded import Coded
+from phongfit.files.zarrs import Window, cut
 from phongfit.fitting.problem.losses import as_loss
 from phongfit.fitting.problem.parameters import DEFAULT_BOUNDS
 from phongfit.fitting.problem.shapes import takes_exponent
+from phongfit.geometry.cameras import WindowCamera
 from phongfit.geometry.shading import PhongShading
 from phongfit.geometry.surfaces import NormalMap
 from phongfit.geometry.tracing import trace
@@ -24,7 +26,12 @@ from phongfit.maps.pixel.lighting import Lighting, make_lighting
 from phongfit.maps.pixel.lobes import in_numbers, is_power
 from phongfit.maps.pixel.samples import Known, Outside, Tile
 from phongfit.maps.pixel.settings import MAP_PARAMETERS, MOST_MATERIALS, MapSettings
-from phongfit.maps.stacks import AbstractStack, take_alone
+from phongfit.maps.stacks import (
+    AbstractStack,
+    ArrayStack,
+    read_rectangle,
+    take_alone,
+)
 from phongfit.material import Material
 from phongfit.reflectance import AbstractSpecular
 from phongfit.rendering.film import Film
@@ -74,30 +81,48 @@ class Geometry:
             depth[inside] = np.broadcast_to(along, inside.size)[inside.ravel()]
         return np.where(inside[..., None], normals, 0), depth
 
+    def part(self, window: Window) -> "Geometry":
+        """The geometry of a rectangle."""
+        pixels = np.arange(self.mask.size).reshape(self.mask.shape)[window]
+        return dataclasses.replace(self.take(pixels.ravel()), mask=self.mask[window])
+
+    def take(self, pixels: np.ndarray) -> "Geometry":
+        """The geometry of some pixels, with the mask of all."""
+
+        def rows(table: np.ndarray) -> np.ndarray:
+            return table if len(table) == 1 else table[pixels]
+
+        seen = self.visibility
+        return dataclasses.replace(
+            self,
+            normal=self.normal[pixels],
+            position=rows(self.position),
+            to_viewer=rows(self.to_viewer),
+            visibility=None if seen is None else seen[..., pixels],
+        )
+
     def tile(
         self, pixels: np.ndarray, target: Coded, used: np.ndarray, size: int
     ) -> Tile:
         """The tile of some pixels, padded to `size` pixels."""
         missing = size - len(pixels)
-        padded = np.pad(pixels, (0, missing), mode="edge")
 
         def fill(samples: np.ndarray) -> np.ndarray:
             if not missing:
                 return samples
             return np.pad(samples, ((0, 0), (0, missing), (0, 0)))
 
-        def rows(table: np.ndarray) -> np.ndarray:
-            return table if len(table) == 1 else table[padded]
-
-        seen = self.visibility
+        some = self.take(np.pad(pixels, (0, missing), mode="edge"))
+        seen = some.visibility
         return Tile(
             fill(target.numbers),
             fill(used),
-            self.normal[padded],
-            rows(self.position),
-            rows(self.to_viewer),
-            None if seen is None else seen[..., padded].astype(self.normal.dtype),
+            some.normal,
+            some.position,
+            some.to_viewer,
+            None if seen is None else seen.astype(some.normal.dtype),
             target.table,
+            np.array(len(pixels)),
         )
 
 
@@ -106,6 +131,7 @@ class Job:
     """Inputs of a fit of maps: scenes, images, settings, masks, noise and geometry.
 
     `unknowns` are the requested ones, including those that no light identifies.
+    `traced` is the geometry, if it is known already.
     """
 
     scenes: tuple[Scene, ...]
@@ -115,7 +141,14 @@ class Job:
     outside: Outside
     masks: Layers
     noise: Noise
-    geometry: Geometry
+    traced: Geometry | None = None
+
+    @functools.cached_property
+    def geometry(self) -> Geometry:
+        """Surface, viewer and shadows of every pixel."""
+        if self.traced is not None:
+            return self.traced
+        return resolve_geometry(self.scenes, self.outside.lighting)
 
     @functools.cached_property
     def pixels(self) -> np.ndarray:
@@ -138,13 +171,47 @@ class Job:
             tile = tile._replace(visibility=everything)
         return tile
 
+    def part(self, window: Window) -> "Job":
+        """The job of a rectangle, whose images are read."""
+        some = dataclasses.replace(
+            self,
+            stack=ArrayStack(read_rectangle(self.stack, window)),
+            masks=self.masks.part(window),
+            noise=self.noise.part(window),
+        )
+        if self.traced is not None:
+            return dataclasses.replace(some, traced=self.traced.part(window))
+        return dataclasses.replace(some, scenes=_seen_in(self.scenes, window))
+
     def identify(self) -> dict[str, str]:
         """Checksums of all inputs that determine the result, except the images."""
-        geometry = self.geometry
-        place = [
-            getattr(geometry, field.name) for field in dataclasses.fields(geometry)
-        ]
-        return identify(self.settings, self.outside, place, self.masks, self.noise)
+        first, lighting = self.scenes[0], self.outside.lighting
+        shadows = [scene.shadows for scene in self.scenes]
+        place = first.surface, first.camera, shadows, first.local_viewer
+        modes = [None if kind.fog is None else kind.fog.mode for kind in lighting.kinds]
+        return {
+            "unknowns": ", ".join(self.unknowns),
+            "settings": repr(self.settings),
+            "lights": _checksum((self.outside, repr((lighting.order, modes)))),
+            "surface": _checksum(place, self.masks),
+            "noise": _checksum((), self.noise),
+        }
+
+
+def _seen_in(scenes: tuple[Scene, ...], window: Window) -> tuple[Scene, ...]:
+    """Scenes of a rectangle of the image; a normal map of one pixel is a plane."""
+    first, (rows, columns) = scenes[0], window
+    size = rows.stop - rows.start, columns.stop - columns.start
+    camera = WindowCamera(first.camera, columns.start, rows.start, size[1], size[0])
+    surface = first.surface
+    if isinstance(surface, NormalMap) and surface.mask.shape == (1, 1):
+        normals = np.broadcast_to(np.asarray(surface.normals), (*size, 3))
+        surface = NormalMap(normals)
+    elif isinstance(surface, NormalMap):
+        # Without normalising again, which would change the normals' last bit.
+        surface = jax.tree.map(lambda array: cut(array, window), surface)
+    replace = functools.partial(dataclasses.replace, surface=surface, camera=camera)
+    return tuple(replace(scene) for scene in scenes)
 
 
 def make_job(
@@ -165,8 +232,7 @@ def make_job(
     settings, outside = settle(scenes, levels, **options)
     unknowns = tuple(options.get("unknowns", MAP_PARAMETERS))
     masks = mask_layers(mask, stack.shape)
-    geometry = resolve_geometry(scenes, outside.lighting)
-    return Job(scenes, stack, unknowns, settings, outside, masks, levels, geometry)
+    return Job(scenes, stack, unknowns, settings, outside, masks, levels)
 
 
 def settle(
@@ -386,7 +452,7 @@ def _visibility(
 def _lobe_of(model: AbstractSpecular, dtype: Any) -> tuple[bool, bool]:
     """Two flags: a model's lobe is a power of one cosine; an exponent shapes it.
 
-    Cached, since every block of a map needs them.
+    Cached, since every pass of a map needs them.
     """
     del dtype
     return is_power(model), takes_exponent(model)
@@ -559,23 +625,6 @@ def _three(name: str, leaf: Any) -> np.ndarray:
             f"{name}: expected parameters of shape () or (3,), got {values.shape}"
         )
     return np.broadcast_to(values.ravel(), (3,)).copy()
-
-
-def identify(
-    settings: MapSettings, outside: Outside, place: Any, masks: Layers, noise: Noise
-) -> dict[str, str]:
-    """Checksums of the inputs of a job, except the images.
-
-    **Arguments:** `place`: surface, camera and shadows, as arrays or objects.
-    """
-    lighting = outside.lighting
-    modes = [None if kind.fog is None else kind.fog.mode for kind in lighting.kinds]
-    return {
-        "settings": repr(settings),
-        "lights": _checksum((outside, repr((lighting.order, modes)))),
-        "surface": _checksum(place, masks),
-        "noise": _checksum((), noise),
-    }
 
 
 def _checksum(tree: Any, layers: Layers | Noise | None = None) -> str:

@@ -1,6 +1,7 @@
 """Masks and noise levels of the samples of a stack of images."""
 
-from collections.abc import Sequence
+import copy
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -8,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from phongfit.checks import NOISE, as_array, is_noise, unmasked
+from phongfit.files.zarrs import Window, cut
 from phongfit.fitting.problem.inputs import is_number
 from phongfit.maps.stacks import Update, gather
 
@@ -68,6 +70,19 @@ class Layers:
         if layer.ndim < 3:
             layer = layer[..., None]
         return np.broadcast_to(layer, (*self._size, layer.shape[-1]))
+
+    def each(self, change: Callable[[Any], Any]) -> "Layers":
+        """The numbers with a change of each array."""
+        some = copy.copy(self)
+        some.arrays = [change(array) for array in self.arrays]
+        return some
+
+    def part(self, window: Window) -> "Layers":
+        """The numbers of a rectangle."""
+        some = self.each(lambda array: cut(array, window) if array.ndim else array)
+        sides = zip(self._size, window, strict=True)
+        some._size = tuple(len(range(side)[part]) for side, part in sides)
+        return some
 
     def take(
         self, pixels: Int[np.ndarray, " n"], order: Sequence[int]
@@ -149,6 +164,19 @@ class Noise:
         if not self.varies:
             return used
         return np.where(used, 1 / self._layers.take(pixels, order), 0)
+
+    def each(self, change: Callable[[Any], Any]) -> "Noise":
+        """The noise with a change of each array."""
+        return self._with(self._layers.each(change))
+
+    def part(self, window: Window) -> "Noise":
+        """The noise of a rectangle."""
+        return self._with(self._layers.part(window))
+
+    def _with(self, layers: Layers) -> "Noise":
+        some = copy.copy(self)
+        some._layers = layers
+        return some
 
     def given(self) -> float | Float[np.ndarray, "height width"] | None:
         """The noise level, or each pixel's root mean square if it varies."""

@@ -3,9 +3,7 @@
 import dataclasses
 import functools
 import math
-import os
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +13,7 @@ from phongfit.geometry.cameras import OrthographicCamera
 from phongfit.geometry.height import HeightField
 from phongfit.geometry.surfaces import NormalMap
 from phongfit.lights import PointLight, SpotLight
+from phongfit.maps.blocks import Kept
 from phongfit.maps.result import Maps
 from phongfit.maps.stacks import AbstractStack, KeptStack
 from phongfit.scene import Scene
@@ -35,30 +34,34 @@ def fit_in_passes(
     scenes: Sequence[Scene],
     stack: AbstractStack,
     passes: int,
-    output: str | os.PathLike[str] | None,
+    kept: Kept | None,
     progress: bool,
 ) -> tuple[Maps, Sequence[Scene]]:
     """Fit maps with unknown normals, each pass on the surface of the last.
 
     **Arguments:**
 
-    - `once`: one pass, as a function of scenes, images, `output` and `progress`.
-    - `output`: folder of the finished tiles of the first pass; those of later passes
-        are kept in folders inside.
+    - `once`: one pass, as a function of scenes, images, `kept` and `progress`.
+    - `kept`: the store of the last pass; those of earlier passes are inside.
 
     **Returns:** the maps, and the scenes of the last pass, with its surface.
     """
-    maps = once(scenes, stack, output=output, progress=progress)
+
+    def store(number: int) -> Kept | None:
+        if kept is None or number == passes:
+            return kept
+        return kept.inside(f"pass_{number}")
+
+    maps = once(scenes, stack, kept=store(1), progress=progress)
     for number in range(2, passes + 1):
         field = maps.height()
         quick = functools.partial(
-            once, images=KeptStack(stack), output=None, progress=False
+            once, images=KeptStack(stack), kept=None, progress=False
         )
         reach = REACH * 0.5 ** (number - 2)
         offset = find_offset(quick, scenes, field, _sample(maps), reach)
-        inner = None if output is None else Path(output) / f"pass_{number}"
         scenes = on_surface(scenes, field, field.mask, offset, shadows=True)
-        maps = once(scenes, stack, output=inner, progress=progress)
+        maps = once(scenes, stack, kept=store(number), progress=progress)
     maps = dataclasses.replace(maps, misplacement=misplacement(maps, scenes))
     return maps, scenes
 

@@ -421,33 +421,17 @@ class Maps:
         """
         if not os.fspath(path).endswith(".npz"):
             raise ValueError(f"{os.fspath(path)}: expected a name that ends in .npz")
-        arrays = self.pixel_arrays()
+        arrays = self.pixel_arrays() | self.whole_arrays()
         given = np.nan if self.noise_given is None else self.noise_given
         arrays.setdefault("noise_given", np.array(given))
-        if self.materials is not None:
-            arrays |= {
-                f"materials_{field.name}": np.asarray(
-                    getattr(self.materials, field.name)
-                )
-                for field in dataclasses.fields(self.materials)
-            }
-        if self.strengths is not None:
-            arrays["strengths"] = self.strengths.values
-            arrays["stderr_strengths"] = self.strengths.stderr
+        view = view_of(self.camera, self.specular_model, self.ambient_light)
         with replacing(path) as temporary:
             np.savez(
                 temporary,
                 allow_pickle=False,
                 version=np.array(MAPS_VERSION),
                 unknowns=np.array(self.unknowns),
-                misplacement=np.array(self.misplacement),
-                strength_error=np.array(self.strength_error),
-                matte=np.array(self.matte),
-                view=np.array(
-                    json.dumps(
-                        view_of(self.camera, self.specular_model, self.ambient_light)
-                    )
-                ),
+                view=np.array(json.dumps(view)),
                 **arrays,
             )
 
@@ -460,6 +444,18 @@ class Maps:
         arrays |= {name: getattr(self, name) for name in PLAIN}
         if isinstance(self.noise_given, np.ndarray):
             arrays["noise_given"] = self.noise_given
+        return arrays
+
+    def whole_arrays(self) -> dict[str, np.ndarray]:
+        """Arrays about the maps as a whole, and probabilities of shared materials."""
+        arrays = {name: np.array(getattr(self, name)) for name in (*FAULTS, "matte")}
+        if self.materials is not None:
+            for field in dataclasses.fields(self.materials):
+                array = np.asarray(getattr(self.materials, field.name))
+                arrays[f"materials_{field.name}"] = array
+        if self.strengths is not None:
+            arrays["strengths"] = self.strengths.values
+            arrays["stderr_strengths"] = self.strengths.stderr
         return arrays
 
     def to_xarray(self) -> Any:
@@ -579,8 +575,8 @@ FAULTS = ("misplacement", "strength_error")
 
 PLAIN = ("noise", "samples", "flags", "normals", "normals_stderr", "depth")
 
-WEIGHTS = "weights"
-"""Name of the shared materials' probabilities in the arrays of a tile."""
+WEIGHTS = "materials_weights"
+"""Name in files of the shared materials' probabilities in each pixel."""
 
 
 MAPS_VERSION = 2
@@ -602,6 +598,14 @@ class Layer(NamedTuple):
     least: float | None = None
     most: float = np.inf
     dtype: str = "float"
+
+    def full(self, size: tuple[int, ...], floats: Any) -> np.ndarray:
+        """An array for pixels none of which is fitted.
+
+        **Arguments:** `floats`: the type of floats.
+        """
+        dtype = floats if self.dtype == "float" else self.dtype
+        return np.full((*size, *self.channels), self.outside, dtype)
 
 
 def layers_of(exponents: int) -> dict[str, Layer]:

@@ -1,57 +1,41 @@
 """`fit_maps`: maps of materials from stacks of images under many lights."""
 
-import concurrent.futures
+import contextlib
 import dataclasses
 import functools
-import importlib.metadata
 import os
-import sys
-import time
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal, overload
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
 from phongfit.checks import untraced
 from phongfit.edge import checked, shown
 from phongfit.fitting.problem.losses import AbstractLoss
-from phongfit.maps.ahead import ahead
+from phongfit.maps.blocks import Kept, block_size, fit_whole, kept_at
+from phongfit.maps.cluster import client_for, fit_apart
 from phongfit.maps.job import Fitted, Job, check_scenes, make_job
-from phongfit.maps.materials.bases import held
-from phongfit.maps.materials.block import Given, fit_shared
-from phongfit.maps.materials.finding import Materials, choose_sample, find_materials
 from phongfit.maps.passes import fit_in_passes, usual_passes
-from phongfit.maps.pixel.block import BLOCK, fit_tile, run
 from phongfit.maps.pixel.settings import MAP_PARAMETERS
-from phongfit.maps.result import (
-    WEIGHTS,
-    Layer,
-    Maps,
-    ParameterMaps,
-    StrengthsName,
-    layers_of,
-)
-from phongfit.maps.stacks import AbstractStack, as_index, as_stack, identify_stack
-from phongfit.maps.store import BlockStore, alone_at, open_store
+from phongfit.maps.result import Maps, StrengthsName
+from phongfit.maps.stacks import AbstractStack, as_stack
+from phongfit.maps.stored import StoredMaps, complete
 from phongfit.maps.strengths import find_strengths, may_be_equal, strength_error
+from phongfit.maps.tiles import Team, as_team, fit_job, tile_size, with_materials
 from phongfit.material import Material
+from phongfit.moved import warn_deprecated
 from phongfit.rendering.film import Film
 from phongfit.scene import Scene
 
-TILES_FORMAT = "phongfit tiles"
 
-TILE_BYTES, CORE_BYTES, CPU_BYTES = 2**26, 2**24, 2**28
-"""Bytes of light in a tile by default: on a GPU, and for each core of a CPU; and of
-the tiles of all cores together.
-
-Those of a core are few enough for its caches, and enough that the blocks of a second
-pass, which may be nearly empty, take a small fraction of the time."""
-
-
+@overload
+def fit_maps(  # pyright: ignore[reportInconsistentOverload]
+    scenes: Sequence[Scene], images: Any, *, load: Literal[False], **options: Any
+) -> StoredMaps: ...
+@overload
+def fit_maps(
+    scenes: Sequence[Scene], images: Any, *, load: Literal[True] = True, **options: Any
+) -> Maps: ...
 @checked
 def fit_maps(
     scenes: Sequence[Scene],
@@ -73,9 +57,13 @@ def fit_maps(
     min_cosine: float = 0.0,
     tile_pixels: int | None = None,
     devices: Sequence[Any] | None = None,
-    output: str | os.PathLike[str] | None = None,
+    out: str | os.PathLike[str] | None = None,
+    block: tuple[int, int] | None = None,
+    load: bool = True,
+    client: Any = None,
     progress: bool = True,
-) -> Maps:
+    output: str | os.PathLike[str] | None = None,
+) -> Maps | StoredMaps:
     r"""Fit a material to every pixel of images under many lights, with standard errors.
 
     The data are those of photometric stereo. Normals are known, or fitted with the
@@ -90,9 +78,8 @@ def fit_maps(
         and fog.
     - `images`: (L, H, W, 3) or a sequence of (H, W, 3), linear light as floats where
         white is 1, in memory or memory-mapped, or an [`AbstractStack`][] such as
-        [`PhotographStack`][], which reads files, [`DatasetStack`][] or [`ZarrStack`][].
-        From zarr to zarr, and on a cluster, maps need not fit into memory either: see
-        [`fit_stored_maps`][].
+        [`PhotographStack`][], which reads files, [`DatasetStack`][] or [`ZarrStack`][];
+        or the path or URL of a zarr store.
     - `unknowns`: parameters to be fitted. Without ambient light in the scenes,
         `ambient` is not fitted. Other parameters of a specular model are held.
     - `per_channel`: parameters with a number for each of red, green and blue. They must
@@ -135,8 +122,8 @@ def fit_maps(
     - `passes`: with `normals="fit"`, how often pixels are fitted; default 3 with near
         lamps, 2 with distant ones. Each pass after the first assumes that pixels lie on
         the surface of the last normals, moved to the depth at which near lamps give the
-        least noise, and leaves out samples in its shadow. `output` keeps the tiles of
-        all passes.
+        least noise, and leaves out samples in its shadow. `out` keeps the blocks of all
+        passes.
     - `strengths`: with `normals="fit"`, strengths of the light of each image: `"given"`
         by the scenes' lights; `"fit"`: one factor on the lights of each image;
         `"fit_per_channel"`: three factors. They are estimated from about 2000 pixels
@@ -149,24 +136,41 @@ def fit_maps(
     - `min_cosine`: samples that no light reaches at a cosine above this are left out as
         shadowed; −1 keeps all.
     - `tile_pixels`: pixels that a core or a GPU works on at a time; default: as many as
-        hold 16 MB of light, or 64 MB on a GPU; all cores together 256 MB.
+        hold 16 MB of light, or 64 MB on a GPU; all cores together 256 MB. With `out` a
+        block has about as many.
     - `devices`: devices that work on the tiles in turn; default: all local ones.
-    - `output`: a folder that keeps finished tiles, as a zarr group. An interrupted run
-        continues from there, with bit-identical results. It must be empty, or of the
-        same job.
+    - `out`: path or URL of a zarr store that is new, or of the same job: see
+        [`StoredMaps`][]. It keeps finished blocks, so that an interrupted run continues
+        when it is started again, with bit-identical results: finished blocks are
+        compared with their checksums, and not fitted again.
+    - `block`: with `out`, rows and columns of a block, which is a chunk of the store.
+        Default: whole rows of images, or the images' shards or chunks.
+    - `load`: `False`: neither images nor maps need fit into memory. Each block is read,
+        fitted and written to `out` separately, with one block at a time per thread.
+        There is one pass, with given strengths and a separate material for each pixel,
+        and a normal map of one pixel stands for a plane. By default a block has 64 MB
+        of stored samples.
+    - `client`: with `load=False` and images in a zarr store, client of a Dask cluster
+        whose workers fit the blocks; default: the current one, or else this process
+        fits them. Workers should have one thread each: see the guide.
     - `progress`: show a bar on a terminal, or occasional lines elsewhere.
+    - `output`: deprecated name of `out`.
 
     **Returns:** [`Maps`][]. A pixel that does not identify an unknown has infinite
-    errors and flags.
+    errors and flags. With `load=False` [`StoredMaps`][], which have no warnings of the
+    maps as a whole, such as those of misplaced pixels or of the lamps' strengths.
 
     **Raises:** `ValueError` that names the argument: wrong shapes, too few images for
-    the unknowns, a file of a stack that is missing or broken (finished tiles stay).
-    `OSError` if `output` cannot be written, or another run writes there.
+    the unknowns, a file or store that is missing or broken. `OSError` if `out` cannot
+    be written, another run writes there, or the cluster is gone. Finished blocks stay.
     """
     instead = "fit_maps is no function that JAX can trace"
     untraced(instead, scenes=scenes, images=images, known=known, mask=mask, noise=noise)
+    if output is not None:
+        warn_deprecated("fit_maps(output=...) goes in 0.4; write out=...")
+        out = output
     stack = as_stack(images)
-    asked: dict[str, Any] = {
+    options: dict[str, Any] = {
         "unknowns": unknowns,
         "per_channel": per_channel,
         "known": known,
@@ -182,34 +186,79 @@ def fit_maps(
     }
     if passes is not None and (passes < 1 or (passes > 1 and normals != "fit")):
         raise ValueError(
-            f"passes: expected 1, or more where normals are sought, got {shown(passes)}"
+            f"passes: expected 1, or more where normals are sought, got {passes}"
         )
     if strengths != "given" and normals != "fit":
         raise ValueError(
             f"strengths: expected 'given' where normals are given, got {strengths!r}; "
             "fit finds exposures of images under given normals"
         )
-    spread = {"tile_pixels": tile_pixels, "devices": devices}
-    if normals == "given":
-        once = functools.partial(_fit_once, **asked, **spread)
-        return once(scenes, stack, output=output, progress=progress)
-    scenes = check_scenes(scenes)
-    passes = usual_passes(scenes) if passes is None else passes
+    if not load:
+        for name, given, usual in (
+            ("materials", materials, None),
+            ("passes", passes or 1, 1),
+            ("strengths", strengths, "given"),
+            ("tile_pixels", tile_pixels, None),
+            ("devices", devices, None),
+        ):
+            if given != usual:
+                raise ValueError(
+                    f"{name}: expected {usual} with load=False, since images and maps "
+                    f"are never whole in memory, got {shown(given)}"
+                )
+        if out is None:
+            raise ValueError("out: expected a store with load=False, got None")
+        client = client_for(stack, client)
+    elif client is not None:
+        raise ValueError("client: expected load=False, with which workers fit blocks")
+    if block is not None and out is None:
+        raise ValueError(f"block: expected it with out alone, got {block}")
+    scenes, sought = check_scenes(scenes), normals == "fit"
+    passes = passes or (usual_passes(scenes) if sought and load else 1)
     if strengths != "given":
-        asked["bounds"] = {"diffuse": (0.0, np.inf)} | dict(bounds or {})
-    once = functools.partial(_fit_once, **asked, **spread)
-    found, error = None, 0.0
+        options["bounds"] = {"diffuse": (0.0, np.inf)} | dict(bounds or {})
+    job = make_job(scenes, stack, **options)
+    team = as_team(devices)
+    once = functools.partial(_fit_once, team=team, tile_pixels=tile_pixels, **options)
+    with contextlib.ExitStack() as place:
+        kept = None
+        if out is not None:
+            _, height, width = stack.shape
+            tile = tile_size(height * width, len(scenes), tile_pixels, team)
+            block = block_size(stack, block, tile if load else None)
+            asked = {"passes": passes, "strengths": strengths}
+            kept = place.enter_context(kept_at(out, job, block, **asked))
+        if kept is not None and not load:
+            return fit_apart(job, kept, client, progress)
+        if sought:
+            maps = _fit_normals(once, job, passes, strengths, kept, progress)
+        else:
+            maps = once(scenes, stack, kept=kept, progress=progress)
+        if kept is not None:
+            complete(kept.output, maps.counts(), maps)
+    return maps
+
+
+def _fit_normals(
+    once: Callable[..., Maps],
+    job: Job,
+    passes: int,
+    strengths: StrengthsName,
+    kept: Kept | None,
+    progress: bool,
+) -> Maps:
+    """Fit maps with unknown normals, perhaps with strengths of the light."""
+    scenes, found, error = job.scenes, None, 0.0
     if strengths != "given":
-        job = make_job(scenes, stack, **asked)
         coloured = strengths == "fit_per_channel"
         found = find_strengths(once, job, per_channel=coloured)
         if strengths == "auto" and may_be_equal(found):
             found = None
         else:
             scenes = found.lit(scenes)
-    maps, placed = fit_in_passes(once, scenes, stack, passes, output, progress)
+    maps, placed = fit_in_passes(once, scenes, job.stack, passes, kept, progress)
     if strengths == "given":
-        error = strength_error(maps, placed, make_job(scenes, stack, **asked))
+        error = strength_error(maps, placed, job)
     return dataclasses.replace(maps, strengths=found, strength_error=error)
 
 
@@ -217,216 +266,35 @@ def _fit_once(
     scenes: Sequence[Scene],
     images: AbstractStack,
     *,
+    team: Team,
     tile_pixels: int | None,
-    devices: Sequence[Any] | None,
-    output: str | os.PathLike[str] | None,
+    kept: Kept | None,
     progress: bool,
-    **asked: Any,
+    **options: Any,
 ) -> Maps:
-    """Fit one pass; the arguments are those of [`fit_maps`][]."""
-    job = make_job(scenes, images, **asked)
+    """Fit one pass; `options` are those of [`make_job`][]."""
+    job = make_job(scenes, images, **options)
     if not len(job.pixels):
         raise ValueError("mask: it leaves no pixel that sees the surface")
-    team = as_team(devices)
-    size = tile_size(len(job.pixels), len(job.scenes), tile_pixels, team)
-    if output is None:
-        return fit_job(job, size, team, None, progress)
-    identity = job.identify() | {
-        "images": identify_stack(images),
-        "tile": f"{size} pixels",
-        "versions": versions(),
-    }
-    with alone_at(output) as place:
-        group = open_store(place, {"format": TILES_FORMAT, "job": identity})
-        store = BlockStore(group, identity, (len(job.pixels),), (size,))
-        return fit_job(job, size, team, store, progress)
+    job, shared = with_materials(job, team.threads)
+    if kept is None:
+        size = tile_size(len(job.pixels), len(scenes), tile_pixels, team)
+        maps = fit_job(job, size, team, shared, progress)
+    else:
+        maps = fit_whole(job, kept, shared, team, progress)
+    matte = options["materials"] is not None and shared is None
+    return dataclasses.replace(maps, matte=matte)
 
 
-class Team(NamedTuple):
-    """Devices that work on tiles in turn, and the number of threads that feed them."""
-
-    devices: Sequence[Any]
-    threads: int
-
-
-def as_team(devices: Sequence[Any] | None = None) -> Team:
-    """The devices of a run; `None` for all local ones."""
-    devices = jax.local_devices() if devices is None else list(devices)
-    if not devices or not all(isinstance(one, jax.Device) for one in devices):
-        raise ValueError(f"devices: expected devices of JAX, got {shown(devices)}")
-    # XLA uses one core for a tile. On other devices one tile is read while the last is
-    # fitted.
-    cpu = devices[0].platform == "cpu"
-    return Team(devices, (os.cpu_count() or 1) if cpu else 2 * len(devices))
-
-
-def fit_job(
-    job: Job,
-    size: int,
-    team: Team,
-    store: BlockStore | None = None,
-    progress: bool = False,
-) -> Maps:
-    """Fit the maps of a job, tile by tile.
-
-    **Arguments:**
-
-    - `size`: pixels of a tile, for which the program is compiled.
-    - `store`: the store of finished tiles.
-    """
-    shared, matte = None, False
-    if job.settings.materials is not None:
-        shared = _materials(job, team.threads)
-        matte = not len(shared.bases.shares)
-    if matte:
-        job, shared = _without_highlights(job), None
-    among, fit = job.outside, fit_tile
-    if shared is not None:
-        among, fit = Given(job.outside, shared.bases), fit_shared
-    layers, pixels = _layers(job, shared), job.pixels
-    tiles = [pixels[k : k + size] for k in range(0, len(pixels), size)]
-    if store is not None:
-        store.make(layers, job.outside.noise.dtype)
-
-    def work(number: int) -> dict[str, np.ndarray]:
-        done = None if store is None else store.load(number, layers)
-        if done is not None:
-            return done
-        device = team.devices[number % len(team.devices)]
-        inputs = jax.device_put((job.tile(tiles[number], size), among), device)
-        fitted = run(*inputs, job.settings, fit)
-        count = len(tiles[number])
-        arrays = {name: np.asarray(array)[:count] for name, array in fitted.items()}
-        if store is not None:
-            store.save(number, arrays)
-        return arrays
-
-    whole = {
-        name: np.full(
-            (job.geometry.mask.size, *layer.channels),
-            layer.outside,
-            job.outside.noise.dtype if layer.dtype == "float" else layer.dtype,
-        )
-        for name, layer in layers.items()
-    }
-    done = ahead(work, len(tiles), team.threads)
-    for number, arrays in bar(done, len(tiles), progress):
-        for name, values in arrays.items():
-            whole[name][as_index(tiles[number])] = values
-    return dataclasses.replace(_maps_of(job, whole, shared), matte=matte)
-
-
-def _without_highlights(job: Job) -> Job:
-    """The job without highlights: only matte light is fitted."""
-    dark = jnp.zeros_like(job.outside.known.specular)
-    known = job.outside.known._replace(specular=dark)
-    return dataclasses.replace(
-        job, settings=held(job.settings), outside=job.outside._replace(known=known)
+@checked
+def fit_stored_maps(
+    scenes: Sequence[Scene],
+    images: Any,
+    output: str | os.PathLike[str],
+    **options: Any,
+) -> StoredMaps:
+    """Deprecated name of [`fit_maps`][] with `out` and `load=False`."""
+    warn_deprecated(
+        "fit_stored_maps goes in 0.4; write fit_maps(..., out=..., load=False)"
     )
-
-
-def _materials(job: Job, threads: int) -> Materials:
-    """The shared materials, the same for equal jobs."""
-    sample = choose_sample(job.pixels, len(job.scenes))
-    blocks = [
-        job.tile(sample[k : k + BLOCK], BLOCK) for k in range(0, len(sample), BLOCK)
-    ]
-    with concurrent.futures.ThreadPoolExecutor(threads) as workers:
-        return find_materials(blocks, len(sample), job.outside, job.settings, workers)
-
-
-def tile_size(pixels: int, images: int, wanted: int | None, team: Team) -> int:
-    """Pixels of a tile, a multiple of a block's."""
-    if wanted is None:
-        cpu = team.devices[0].platform == "cpu"
-        size = min(CORE_BYTES, CPU_BYTES // team.threads) if cpu else TILE_BYTES
-        most = size // (images * 12 * BLOCK) * BLOCK
-        # Tiles of equal size, since a partly filled one takes as long as a full one; in
-        # a multiple of the number of cores, so that none idles.
-        unit = team.threads if cpu else 1
-        rounds = max(round(pixels / max(most, BLOCK) / unit), 1)
-        wanted = -(-pixels // (rounds * unit))
-    elif not isinstance(wanted, int) or wanted < 1:
-        raise ValueError(f"tile_pixels: expected a whole number ≥ 1, got {wanted!r}")
-    return -(-min(wanted, pixels) // BLOCK) * BLOCK
-
-
-def versions() -> str:
-    """Versions of the packages that compute maps."""
-    names = ("phongfit", "jax", "jaxlib")
-    return " ".join(f"{name} {importlib.metadata.version(name)}" for name in names)
-
-
-def bar(
-    items: Iterator[tuple[int, Any]], total: int, wanted: bool, what: str = "tiles"
-) -> Iterator[tuple[int, Any]]:
-    """Yield the items and show a progress bar, or occasional lines in a log."""
-    console = Console(stderr=True)
-    if not wanted:
-        yield from items
-        return
-    if not console.is_terminal:
-        yield from _lines(items, total, what)
-        return
-    columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(what, *columns, console=console, transient=True) as bar:
-        yield from bar.track(items, total=total)
-
-
-def _lines(
-    items: Iterator[tuple[int, Any]], total: int, what: str, every: float = 30.0
-) -> Iterator[tuple[int, Any]]:
-    """Yield the items and print a line of progress every `every` seconds."""
-    start = shown = time.monotonic()
-    for k, item in items:
-        now = time.monotonic()
-        if k and now - shown >= every:
-            shown, left = now, (now - start) * (total - k) / k
-            words = f"{k} of {total} {what}, {left / 60:.1f} minutes left"
-            print(f"maps: {words}", file=sys.stderr, flush=True)
-        yield k, item
-
-
-def _layers(job: Job, shared: Materials | None) -> dict[str, Layer]:
-    """The arrays over the pixels that are fitted."""
-    layers = layers_of(1 if job.settings.shared else 3)
-    known = ("depth", "normals", "normals_stderr")
-    for name in known[: 1 if job.settings.normals == "fit" else 3]:
-        layers.pop(name)
-    if shared is not None:
-        layers[WEIGHTS] = Layer((len(shared.bases.shares),), 0)
-    return layers
-
-
-def _maps_of(job: Job, arrays: dict[str, np.ndarray], shared: Materials | None) -> Maps:
-    """The maps of fitted arrays, whose first axis is all pixels."""
-    settings, scene = job.settings, job.scenes[0]
-    size = job.geometry.mask.shape
-    normals, depth = job.geometry.seen(scene, arrays.pop("normals", None))
-    maps: dict[str, Any] = {
-        name: array.reshape(*size, *array.shape[1:]) for name, array in arrays.items()
-    }
-    errors = {name: maps.pop(f"stderr_{name}") for name in MAP_PARAMETERS}
-    for name in job.unknowns:
-        # Without ambient light ρ_a is not identified, and was left out of the fit.
-        if name not in settings.names:
-            errors[name][:] = np.inf
-    given: Any = job.noise.given()
-    if job.noise.varies:
-        # Residuals are in units of each sample's own noise.
-        maps["noise"] = maps["noise"] * given
-    known = np.where(job.geometry.mask, 0, np.inf).astype(normals.dtype)
-    maps.setdefault("normals_stderr", known)
-    weights = maps.pop(WEIGHTS, None)
-    return Maps(
-        **maps,
-        stderr=ParameterMaps(**errors),
-        normals=normals,
-        unknowns=tuple(name for name in MAP_PARAMETERS if name in settings.names),
-        noise_given=given,
-        depth=depth,
-        camera=scene.camera,
-        specular_model=scene.specular_model,
-        ambient_light=tuple(np.asarray(scene.ambient).tolist()),
-        materials=None if shared is None else shared.basis(settings, weights),
-    )
+    return fit_maps(scenes, images, out=output, load=False, **options)

@@ -354,6 +354,10 @@ class ZarrStack(AbstractCodedStack):
                     f"encoding: expected 'linear', as floats are, got {self.encoding!r}"
                 )
 
+    def __reduce__(self) -> Any:
+        # Workers open the store themselves.
+        return ZarrStack, (place_of(self.array), self.encoding)
+
     @property
     def shape(self) -> tuple[int, int, int]:
         count, height, width, _ = self.array.shape

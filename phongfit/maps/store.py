@@ -31,7 +31,7 @@ from phongfit.files.zarrs import (
     write_window,
 )
 from phongfit.maps.pixel.settings import MAP_PARAMETERS
-from phongfit.maps.result import PLAIN, WEIGHTS, Layer
+from phongfit.maps.result import FAULTS, PLAIN, Layer
 
 if TYPE_CHECKING:
     from phongfit.files.zarrs import Group
@@ -42,12 +42,14 @@ LEDGER, GIVEN, PLAN = "ledger", "given", "plan"
 OWN = {
     *MAP_PARAMETERS,
     *(f"stderr_{name}" for name in MAP_PARAMETERS),
-    *(*PLAIN, "noise_given", WEIGHTS, LEDGER, GIVEN, PLAN, WORK, "zarr.json"),
+    *(*PLAIN, "noise_given", LEDGER, GIVEN, PLAN, WORK, "zarr.json"),
+    *(*FAULTS, "matte", "strengths", "stderr_strengths"),
 }
 """Names of the files and folders that a run writes into a store on a disk."""
 
-OTHERS = re.compile(r"pass_\d+|zarr\.[0-9a-f]+\.partial")
-"""Names of the stores of later passes, and of a file that a killed run was writing."""
+OTHERS = re.compile(r"pass_\d+|materials_\w+|zarr\.[0-9a-f]+\.partial")
+"""Names of the stores of earlier passes, of arrays of shared materials, and of a file
+that a killed run was writing."""
 
 DIGEST = 16
 """Bytes of a checksum."""
@@ -197,12 +199,15 @@ def open_store(output: str, head: Mapping[str, Any]) -> "Group":
             known = found if isinstance(found, dict) else {}
             differing = [key for key in job if known.get(key) != job[key]]
             raise ValueError(
-                f"output: {output} holds results of another job (its "
+                f"out: {output} holds results of another job (its "
                 f"{', '.join(differing) or 'list of inputs'} differs); give another "
                 "folder"
             )
     elif held:
-        raise ValueError(f"output: {output} holds something else; give another name")
+        raise ValueError(
+            f"out: {output} holds something else, or a run of an older version; give "
+            "another name"
+        )
     if held | dict(head) != held:
         write_attributes(group, dict(head))
     return group

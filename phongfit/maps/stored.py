@@ -4,9 +4,10 @@ import dataclasses
 import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal
 
+import jax.numpy as jnp
 import numpy as np
 from pydantic import Field, model_validator
 
@@ -14,28 +15,43 @@ from phongfit.edge import checked
 from phongfit.files.budget import afford
 from phongfit.files.inputs import naming
 from phongfit.files.records import AbstractRecord, parse_record, validated
-from phongfit.files.zarrs import address, attributes, open_group, read_window, writable
+from phongfit.files.zarrs import (
+    address,
+    attributes,
+    keep_array,
+    open_group,
+    read_window,
+    writable,
+    write_attributes,
+)
 from phongfit.geometry.cameras import WindowCamera
+from phongfit.maps.job import Job
 from phongfit.maps.pixel.settings import Flag
 from phongfit.maps.result import (
     MAPS_VERSION,
+    WEIGHTS,
     Maps,
     ViewRecord,
     checked_maps,
     counted,
+    view_of,
 )
 
 STORE_FORMAT = "phongfit maps"
-STORE_VERSION = 1
+STORE_VERSION = 2
+"""Version of stores. Those of version 1 have no arrays about the maps as a whole."""
 
 Count = Annotated[int, Field(ge=1)]
 
 
 class StoreRecord(AbstractRecord):
-    """Attributes of a store of maps; `counts` exists once the maps are complete."""
+    """Attributes of a store of maps; `counts` exists once the maps are complete.
+
+    `arrays` are the names of those over the pixels, `whole` of others.
+    """
 
     format: Literal["phongfit maps"]
-    version: Literal[1]
+    version: Literal[1, 2]
     job: dict[str, str]
     size: Annotated[list[Count], Field(min_length=2, max_length=2)]
     unknowns: list[str]
@@ -43,6 +59,7 @@ class StoreRecord(AbstractRecord):
     view: ViewRecord
     precision: Literal["float32", "float64"]
     arrays: list[str]
+    whole: list[str] = []
     counts: dict[str, Annotated[int, Field(ge=0)]] | None = None
 
     @model_validator(mode="after")
@@ -52,6 +69,40 @@ class StoreRecord(AbstractRecord):
             lacking = ", ".join(sorted(named - self.counts.keys()))
             raise ValueError(f"counts: expected those of {lacking}, too")
         return self
+
+
+def make_head(
+    job: Job, identity: Mapping[str, str], layers: Iterable[str]
+) -> dict[str, Any]:
+    """Attributes of a store, as in [`StoreRecord`][], of maps that are not complete.
+
+    **Arguments:** `layers`: names of the arrays over the pixels.
+    """
+    first = job.scenes[0]
+    ambient = np.asarray(first.ambient).tolist()
+    return {
+        "format": STORE_FORMAT,
+        "version": STORE_VERSION,
+        "job": dict(identity),
+        "size": list(job.stack.shape[1:]),
+        "unknowns": list(job.settings.names),
+        "noise_given": None if job.noise.varies else job.noise.given(),
+        "view": view_of(first.camera, first.specular_model, ambient),
+        "precision": str(jnp.result_type(float)),
+        "arrays": list(layers),
+    }
+
+
+def complete(output: str, counts: Mapping[str, int], maps: Maps | None = None) -> None:
+    """Mark the maps of a store as complete, with arrays about `maps` as a whole."""
+    group, whole = open_group(output, "r+"), {}
+    if maps is not None:
+        whole = maps.whole_arrays()
+        # Probabilities in the pixels are written block by block.
+        whole.pop(WEIGHTS, None)
+    for name, array in whole.items():
+        keep_array(group, name, array, array.shape)
+    write_attributes(group, {"whole": list(whole), "counts": dict(counts)})
 
 
 def maps_of(arrays: Mapping[str, np.ndarray], head: Mapping[str, Any]) -> Maps:
@@ -75,7 +126,7 @@ def maps_of(arrays: Mapping[str, np.ndarray], head: Mapping[str, Any]) -> Maps:
 
 
 class StoredMaps:
-    """Maps that [`fit_stored_maps`][] has written into a zarr store.
+    """Maps that [`fit_maps`][] has written into a zarr store.
 
     The arrays have the names of [`Maps`][], and `stderr_diffuse` and the like for its
     errors; any program that reads zarr can read them. `str` gives counts of pixels, as
@@ -93,16 +144,14 @@ class StoredMaps:
         self._group = open_group(path)
         head = attributes(self._group)
         with naming(self.path):
-            if (head.get("format"), head.get("version")) != (
-                STORE_FORMAT,
-                STORE_VERSION,
-            ):
+            if head.get("format") != STORE_FORMAT:
                 raise ValueError("expected a store of maps, got something else")
-            if validated(head, StoreRecord).counts is None:
+            if head.get("counts") is None:
                 raise ValueError(
                     "the maps are not complete; the run that was interrupted goes on "
                     "when it is started again"
                 )
+            validated(head, StoreRecord)
         self._head: dict[str, Any] = head
 
     @property
@@ -138,6 +187,8 @@ class StoredMaps:
         with naming(self.path):
             afford(pixel * size[0] * size[1], f"maps of {size[0]} × {size[1]} pixels")
             arrays = {a.basename: read_window(a, window) for a in found}
+            for name in self._head.get("whole", []):
+                arrays[name] = read_window(writable(self._group, name), ())
             maps = maps_of(arrays, self._head)
             view = parse_record(json.dumps(self._head["view"]), ViewRecord)
         if view.camera is None:

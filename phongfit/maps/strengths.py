@@ -122,7 +122,7 @@ def find_strengths(
     def improved(last: Strengths) -> tuple[Strengths, np.ndarray]:
         """Strengths for highlights of maps fitted with the last ones; their change."""
         some = [_only(scene, buffer, mask) for scene in last.lit(scenes)]
-        maps = once(some, kept, output=None, progress=False)
+        maps = once(some, kept, kept=None, progress=False)
         highlight = _highlights(maps, scenes, buffer, pixels)
         found, _ = solve(points, highlight, last.values)
         return found, np.log(found.values / last.values)

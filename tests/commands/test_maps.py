@@ -80,11 +80,12 @@ def test_a_stopped_run_goes_on_where_it_was(brass, tmp_path, monkeypatch, capsys
     # Another job must not mix with these tiles.
     assert main([*args, "--noise", "0.02"]) == 2
     assert "holds results of another job" in capsys.readouterr().err
-    times = {path: path.stat().st_mtime_ns for path in tiles.rglob("*")}
+    ledger = tiles / "ledger" / "c"
+    times = {path: path.stat().st_mtime_ns for path in ledger.rglob("*")}
     assert len(times) > 1
 
     def look(folder, found, **kept):
-        assert times == {p: p.stat().st_mtime_ns for p in tiles.rglob("*")}
+        assert times == {p: p.stat().st_mtime_ns for p in ledger.rglob("*")}
         interrupt()
 
     with monkeypatch.context() as patch:

@@ -95,8 +95,8 @@ def test_a_pinhole_and_a_list_of_lights(capture, tmp_path):
 @pytest.mark.parametrize(
     "words, told",
     [
-        (["--highlight", "shared"], "highlight: expected own from or to zarr"),
-        (["--tile-pixels", "99"], "tile_pixels: expected none from or to zarr"),
+        (["--highlight", "shared"], "highlight: expected own with a zarr array"),
+        ([*FEW, "--tile-pixels", "0"], "tile_pixels: expected a whole number"),
         (["--lights", "some.lp"], "scene.json is a scene, which says this itself"),
         (["--fov", "40"], "scene.json is a scene, which says this itself"),
         (["--normals", "fit"], "lights: expected an .lp or lights.json in"),

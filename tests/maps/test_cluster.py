@@ -22,11 +22,11 @@ from phongfit.files.coded import Coded
 from phongfit.files.dataset import Photograph, Photographs
 from phongfit.files.images import from_levels
 from phongfit.files.zarrs import erase
-from phongfit.maps import blocks
+from phongfit.maps import blocks, cluster
 from phongfit.maps.blocks import block_size
-from phongfit.maps.cluster import dask_client, fit_stored_maps
+from phongfit.maps.cluster import dask_client
 from phongfit.maps.pixel.block import BLOCK
-from phongfit.maps.run import Team, as_team
+from phongfit.maps.tiles import Team, as_team
 from tests.maps.synthetic import Stack, make_stack, same
 
 pytestmark = [
@@ -44,6 +44,11 @@ SIZE = (20, 26)
 @functools.cache
 def made() -> Stack:
     return make_stack(48, 64, 4, ambient=0.0)
+
+
+def fit_apart(scenes: Any, images: Any, out: Any, **options: Any) -> pf.StoredMaps:
+    """Maps that are not loaded."""
+    return pf.fit_maps(scenes, images, out=out, load=False, **options)
 
 
 @pytest.fixture
@@ -72,7 +77,7 @@ def counted(monkeypatch):
 
 
 def test_there_and_back(maps, images, tmp_path, counted):
-    stored = fit_stored_maps(
+    stored = fit_apart(
         made().scenes, images, tmp_path / "maps.zarr", block=SIZE, **QUICK
     )
     same(stored.load(), maps)
@@ -88,14 +93,14 @@ def test_blocks_begin_with_each_device_in_turn(images, tmp_path, monkeypatch):
     devices = [SimpleNamespace(platform="cpu", id=k) for k in range(3)]
     first, real = [], blocks.fit_job
 
-    def fit_job(job, size, team):
+    def fit_job(job, size, team, shared):
         first.append(team.devices[0].id)
-        return real(job, size, as_team())
+        return real(job, size, as_team(), shared)
 
-    monkeypatch.setattr(blocks, "as_team", lambda: Team(devices, 1))
+    monkeypatch.setattr(cluster, "as_team", lambda: Team(devices, 1))
     monkeypatch.setattr(blocks, "fit_job", fit_job)
     out = tmp_path / "maps.zarr"
-    fit_stored_maps(made().scenes, images, out, block=SIZE, **QUICK)
+    fit_apart(made().scenes, images, out, block=SIZE, **QUICK)
     assert collections.Counter(first) == {0: 3, 1: 3, 2: 3}
 
 
@@ -104,7 +109,7 @@ def test_a_finished_block_is_not_fitted_again_and_a_broken_one_is(
 ):
     out = tmp_path / "maps.zarr"
     options: Any = {"block": SIZE, "progress": False} | QUICK
-    fit_stored_maps(made().scenes, images, out, **options)
+    fit_apart(made().scenes, images, out, **options)
     counted.clear()
     # A chunk of another block, one that was cut off, one that is gone; a ledger's
     # entry that was cut off, and one that never was written.
@@ -116,30 +121,30 @@ def test_a_finished_block_is_not_fitted_again_and_a_broken_one_is(
     ledger = out / "ledger" / "c"
     (ledger / "2" / "0" / "0").write_bytes(b"cut")
     (ledger / "2" / "1" / "0").unlink()
-    same(fit_stored_maps(made().scenes, images, out, **options).load(), maps)
+    same(fit_apart(made().scenes, images, out, **options).load(), maps)
     assert len(counted) == 5
 
 
 def test_another_job_is_refused(images, tmp_path):
     out = tmp_path / "maps.zarr"
     options: Any = {"block": SIZE, "progress": False} | QUICK
-    fit_stored_maps(made().scenes, images, out, **options)
+    fit_apart(made().scenes, images, out, **options)
     with pytest.raises(ValueError, match="another job .*settings differs"):
-        fit_stored_maps(made().scenes, images, out, min_cosine=0.1, **options)
+        fit_apart(made().scenes, images, out, min_cosine=0.1, **options)
     with pytest.raises(ValueError, match="another job .*block differs"):
-        fit_stored_maps(made().scenes, images, out, **options | {"block": (48, 32)})
+        fit_apart(made().scenes, images, out, **options | {"block": (48, 32)})
     turned = [
         pf.Scene(scene.surface, scene.camera, made().scenes[0].lights)
         for scene in made().scenes
     ]
     with pytest.raises(ValueError, match="another job .*lights differs"):
-        fit_stored_maps(turned, images, out, **options)
+        fit_apart(turned, images, out, **options)
     with pytest.raises(ValueError, match="another job .*surface differs"):
         mask = np.ones((48, 64), bool)
-        fit_stored_maps(made().scenes, images, out, mask=mask, **options)
+        fit_apart(made().scenes, images, out, mask=mask, **options)
     zarr.open_array(images, mode="r+")[0, 0, 0, 0] = 0.5
     with pytest.raises(ValueError, match="another job .*images differs"):
-        fit_stored_maps(made().scenes, images, out, **options)
+        fit_apart(made().scenes, images, out, **options)
 
 
 def test_a_disk_that_is_full(maps, images, tmp_path, monkeypatch):
@@ -158,10 +163,10 @@ def test_a_disk_that_is_full(maps, images, tmp_path, monkeypatch):
     monkeypatch.setattr(_local, "_put", put)
     options: Any = {"block": SIZE, "progress": False} | QUICK
     with pytest.raises(OSError, match="diffuse: cannot be written: No space left"):
-        fit_stored_maps(made().scenes, images, out, **options)
+        fit_apart(made().scenes, images, out, **options)
     with pytest.raises(ValueError, match="not complete"):
         pf.StoredMaps(out)
-    same(fit_stored_maps(made().scenes, images, out, **options).load(), maps)
+    same(fit_apart(made().scenes, images, out, **options).load(), maps)
 
 
 def test_masks_noise_and_whole_numbers(tmp_path):
@@ -180,7 +185,7 @@ def test_masks_noise_and_whole_numbers(tmp_path):
         "mask": [one & inside for one in (mask, mask, ~mask, mask)],
         "noise": rng.uniform(0.01, 0.02, (48, 64)),
     }
-    stored = fit_stored_maps(
+    stored = fit_apart(
         made().scenes, path, tmp_path / "maps.zarr", progress=False, **options
     )
     expected = pf.fit_maps(
@@ -208,13 +213,13 @@ def test_photographs_that_this_process_reads(maps, tmp_path, counted):
     options: Any = QUICK | {"mask": masks, "tile_pixels": BLOCK}
     expected = pf.fit_maps(made().scenes, made().images, **options)
     out = tmp_path / "maps.zarr"
-    stored = fit_stored_maps(made().scenes, stack, out, block=SIZE, **QUICK)
+    stored = fit_apart(made().scenes, stack, out, block=SIZE, **QUICK)
     same(stored.load(), expected)
     assert len(counted) == 9
-    fit_stored_maps(made().scenes, stack, out, block=SIZE, **QUICK)
+    fit_apart(made().scenes, stack, out, block=SIZE, **QUICK)
     assert len(counted) == 9
     with pytest.raises(ValueError, match="client: expected none with photographs"):
-        fit_stored_maps(made().scenes, stack, out, client=object(), **QUICK)
+        fit_apart(made().scenes, stack, out, client=object(), **QUICK)
 
 
 def test_blocks_are_as_shards_and_chunks_are(tmp_path):
@@ -238,14 +243,14 @@ def test_what_is_wrong_is_named(images, tmp_path, monkeypatch):
     with pytest.raises(ValueError, match="gone.zarr: there is no such zarr array"):
         pf.ZarrStack(tmp_path / "gone.zarr")
     with pytest.raises(ValueError, match=r"images: expected 3, one for each of scenes"):
-        fit_stored_maps(made().scenes[:3], images, out, **QUICK)
+        fit_apart(made().scenes[:3], images, out, **QUICK)
     eight = tmp_path / "eight.zarr"
     zarr.create_array(eight, data=np.concatenate([made().images] * 2))
-    with pytest.raises(ValueError, match="materials: expected none"):
+    with pytest.raises(ValueError, match="materials: expected None with load=False"):
         scenes = made().scenes * 2
-        fit_stored_maps(scenes, eight, out, materials=2, normals="fit")
+        fit_apart(scenes, eight, out, materials=2, normals="fit")
     with pytest.raises(ValueError, match="block: expected rows and columns"):
-        fit_stored_maps(made().scenes, images, out, block=(0, 5), **QUICK)
+        fit_apart(made().scenes, images, out, block=(0, 5), **QUICK)
     flat = zarr.create_array(tmp_path / "flat.zarr", shape=(3, 4), dtype="f4")
     assert flat.ndim == 2
     with pytest.raises(ValueError, match=r"expected images of shape \(light, y, x, 3"):
@@ -253,7 +258,7 @@ def test_what_is_wrong_is_named(images, tmp_path, monkeypatch):
     spoilt = tmp_path / "spoilt.zarr"
     zarr.create_array(spoilt, data=np.full((4, 48, 64, 3), np.nan, "f4"))
     with pytest.raises(ValueError, match="has NaN"):
-        fit_stored_maps(made().scenes, spoilt, out, progress=False, **QUICK)
+        fit_apart(made().scenes, spoilt, out, progress=False, **QUICK)
     (tmp_path / "bad.zarr").mkdir()
     (tmp_path / "bad.zarr" / "zarr.json").write_text("{")
     with pytest.raises(ValueError, match="bad.zarr: cannot be read"):
@@ -298,7 +303,7 @@ def test_workers_one_of_which_is_killed(client, maps, images, tmp_path):
 
     thread = threading.Thread(target=kill, daemon=True)
     thread.start()
-    stored = fit_stored_maps(
+    stored = fit_apart(
         made().scenes,
         images,
         tmp_path / "maps.zarr",
@@ -330,12 +335,12 @@ def test_a_scheduler_that_is_gone(maps, images, tmp_path, counted):
         thread = threading.Thread(target=end, daemon=True)
         thread.start()
         with pytest.raises(OSError, match="client: the cluster is gone; finished"):
-            fit_stored_maps(made().scenes, images, out, client=client, **options)
+            fit_apart(made().scenes, images, out, client=client, **options)
         thread.join()
     # The last that was begun may have been finished, or not.
     begun = len(counted)
     assert 2 < begun < 9
-    same(fit_stored_maps(made().scenes, images, out, **options).load(), maps)
+    same(fit_apart(made().scenes, images, out, **options).load(), maps)
     assert 9 <= len(counted) <= 10
 
 
@@ -368,7 +373,7 @@ def test_an_object_store(bucket, client, maps, counted):
     array = zarr.create_array(f"{bucket}/a/stack.zarr", data=made().images)
     out = f"{bucket}/a/maps.zarr"
     options: Any = {"block": SIZE, "progress": False} | QUICK
-    stored = fit_stored_maps(
+    stored = fit_apart(
         made().scenes,
         pf.ZarrStack(f"{bucket}/a/stack.zarr"),
         out,
@@ -381,13 +386,13 @@ def test_an_object_store(bucket, client, maps, counted):
 
     fsspec.filesystem("s3").rm("coins/a/maps.zarr/noise/c/1/1")
     same(
-        fit_stored_maps(made().scenes, f"{bucket}/a/stack.zarr", out, **options).load(),
+        fit_apart(made().scenes, f"{bucket}/a/stack.zarr", out, **options).load(),
         maps,
     )
     assert len(counted) == 1
     array[0, 0, 0, 0] = 0.25
     with pytest.raises(ValueError, match="another job .*images differs"):
-        fit_stored_maps(made().scenes, f"{bucket}/a/stack.zarr", out, **options)
+        fit_apart(made().scenes, f"{bucket}/a/stack.zarr", out, **options)
     with pytest.raises(ValueError, match="s3://coins/no.zarr: there is no such"):
         pf.ZarrStack(f"{bucket}/no.zarr")
     erase(out)

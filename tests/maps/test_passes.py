@@ -13,7 +13,7 @@ from phongfit.maps.passes import find_offset, moved
 from phongfit.maps.pixel.block import samples_of
 from phongfit.maps.stacks import ArrayStack, KeptStack
 from tests.maps.hills import CAMERA, SIZE, bumps
-from tests.maps.synthetic import dtype
+from tests.maps.synthetic import dtype, same
 
 FREE = pf.Film(clamp=False)
 TRUTH = pf.Material((0.4, 0.3, 0.2), 0.3, 20.0, 0.0)
@@ -64,9 +64,9 @@ def angles(maps: pf.Maps, surface: pf.NormalMap) -> np.ndarray:
 def test_near_lamps_tell_where_the_surface_is(tmp_path):
     scenes, images, surface, _ = hills(near=True)
     folder = tmp_path / "tiles"
-    once = found(scenes, images, passes=1, output=folder)
+    once = found(scenes, images, passes=1, out=tmp_path / "once")
     # Three passes are the default with near lamps; here they do not quite do.
-    again = found(scenes, images, passes=4, output=folder)
+    again = found(scenes, images, passes=4, out=folder)
     assert [pf.warning_code(one) for one in once.warnings] == ["pixels-misplaced"]
     assert not again.warnings
     wrong = [abs(np.median(m.specular[m.identified]) / 0.3 - 1) for m in (once, again)]
@@ -74,7 +74,13 @@ def test_near_lamps_tell_where_the_surface_is(tmp_path):
     assert np.median(once.noise) > 0.03 and np.median(again.noise) < 0.005
     assert angles(once, surface).mean() > 5 and angles(again, surface).mean() < 1
     passes = sorted(path.name for path in folder.glob("pass_*"))
-    assert passes == ["pass_2", "pass_3", "pass_4"]
+    assert passes == ["pass_1", "pass_2", "pass_3"]
+    # The store itself has the last pass, which another number would replace.
+    stored = pf.StoredMaps(folder).load()
+    same(stored, again)
+    assert stored.misplacement == again.misplacement
+    with pytest.raises(ValueError, match="another job .*passes differs"):
+        found(scenes, images, passes=3, out=folder)
 
 
 def test_what_tells_the_distance_is_read_once():

@@ -9,7 +9,7 @@ import pytest
 
 import phongfit as pf
 from phongfit.maps.pixel.settings import Flag
-from phongfit.maps.run import Team, tile_size
+from phongfit.maps.tiles import Team, tile_size
 from tests.maps.synthetic import Stack, dtype, make_stack, pulls
 
 PARAMETERS = ("ambient", "diffuse", "specular", "shininess")

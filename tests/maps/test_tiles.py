@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import json
 import os
 import shutil
 import signal
@@ -46,8 +47,8 @@ def fitted(images: Any = None, **options: Any) -> pf.Maps:
 
 def finished(out: Path) -> dict[str, int]:
     """Finished tiles of a store, with the time when each was written."""
-    ledger = (out / "ledger" / "c").glob("*/0")
-    return {path.parent.name: path.stat().st_mtime_ns for path in ledger}
+    ledger = (out / "ledger" / "c").glob("*/0/0")
+    return {path.parent.parent.name: path.stat().st_mtime_ns for path in ledger}
 
 
 @pytest.fixture(scope="module")
@@ -159,10 +160,10 @@ def test_a_stack_that_breaks_and_finished_tiles_stay(tmp_path):
 
     out = tmp_path / "out"
     with pytest.raises(ValueError, match=r"2\.png: cannot be read"):
-        fitted(Breaking(stack().images), output=out)
+        fitted(Breaking(stack().images), out=out)
     done = finished(out)
     assert len(done) == 2
-    found = fitted(output=out)
+    found = fitted(out=out)
     assert done.items() < finished(out).items()
     expected = fitted()
     same(found, expected)
@@ -170,28 +171,28 @@ def test_a_stack_that_breaks_and_finished_tiles_stay(tmp_path):
 
 def test_a_broken_tile_is_done_again(maps, tmp_path):
     out = tmp_path / "out"
-    fitted(output=out)
-    path = out / "diffuse" / "c" / "1" / "0"
+    fitted(out=out)
+    path = out / "diffuse" / "c" / "1" / "0" / "0"
     path.write_bytes(path.read_bytes()[:1000])
-    same(fitted(output=out), maps)
+    same(fitted(out=out), maps)
 
 
 def test_a_tile_that_is_another_or_blank_is_done_again(maps, tmp_path):
     out = tmp_path / "out"
-    fitted(output=out)
+    fitted(out=out)
     for second in out.glob("*/c/1"):
         for other in (second.with_name("0"), second.with_name("2")):
             shutil.rmtree(other) if other.is_dir() else other.unlink()
         copy = shutil.copytree if second.is_dir() else shutil.copy
         copy(second, second.with_name("0"))
-    same(fitted(output=out), maps)
+    same(fitted(out=out), maps)
 
 
 @pytest.mark.parametrize("text", ["[]", "7", "{"])
 def test_a_store_that_is_none(tmp_path, text):
     (tmp_path / "zarr.json").write_text(text)
     with pytest.raises(ValueError, match=f"{tmp_path}: cannot be written"):
-        fitted(output=tmp_path)
+        fitted(out=tmp_path)
 
 
 @pytest.mark.extended
@@ -224,15 +225,47 @@ def test_masked_arrays_keep_their_masks(maps):
 
 def test_another_job_is_refused(tmp_path):
     out = tmp_path / "out"
-    fitted(output=out)
+    fitted(out=out)
     with pytest.raises(ValueError, match="another job .*images differs"):
-        fitted(2 * stack().images, output=out)
+        fitted(2 * stack().images, out=out)
     with pytest.raises(ValueError, match="another job .*settings differs"):
-        fitted(output=out, min_cosine=0.1)
+        fitted(out=out, min_cosine=0.1)
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "a.txt").write_text("a")
     with pytest.raises(OSError, match=r"is not replaced, since it holds a\.txt"):
-        fitted(output=tmp_path / "full")
+        fitted(out=tmp_path / "full")
+
+
+def test_stores_of_before_and_old_names(maps, tmp_path):
+    with pytest.warns(DeprecationWarning, match="write out="):
+        same(fitted(output=tmp_path / "tiles"), maps)
+    options: Any = {"unknowns": ("diffuse",), "film": pf.Film(clamp=False)}
+    out = tmp_path / "maps"
+    with pytest.warns(DeprecationWarning, match="load=False"):
+        stored = pf.fit_stored_maps(stack().scenes, stack().images, out, **options)
+    same(stored.load(), maps)
+    # Version 1 has no arrays of the maps as a whole.
+    record = json.loads((out / "zarr.json").read_text())
+    record["attributes"] |= {"version": 1}
+    del record["attributes"]["whole"]
+    (out / "zarr.json").write_text(json.dumps(record))
+    same(pf.StoredMaps(out).load(slice(0, 48)), maps)
+
+
+@pytest.mark.parametrize(
+    "options, told",
+    [
+        ({"out": "a", "passes": 2, "normals": "fit"}, "passes: expected 1"),
+        ({"out": "a", "tile_pixels": 9}, "tile_pixels: expected None"),
+        ({"out": "a", "normals": "fit", "strengths": "fit"}, "strengths: expected"),
+        ({}, "out: expected a store with load=False"),
+        ({"load": True, "client": 1}, "client: expected load=False"),
+        ({"load": True, "block": (2, 2)}, "block: expected it with out alone"),
+    ],
+)
+def test_what_blocks_one_by_one_do_not_allow(options, told):
+    with pytest.raises(ValueError, match=told):
+        pf.fit_maps(stack().scenes, stack().images, **{"load": False} | options)
 
 
 def test_other_noise_is_another_job():
@@ -383,7 +416,7 @@ class Killed(AbstractStack):
 
 
 images = Killed(ArrayStack(stack().images))
-fitted(images, output=out or None).save(file)
+fitted(images, out=out or None).save(file)
 """
 
 

@@ -62,8 +62,11 @@ def in_two_passes(tile: Tile, fit: Callable[[Tile, Array], tuple[T, Array]]) -> 
         result, unsettled = fit_block(part, thorough)
         (which,) = jnp.nonzero(unsettled & ~thorough, size=BLOCK, fill_value=BLOCK)
         more = jnp.take(these, which, mode="fill", fill_value=pixels)
+        following = state.block + 1
+        # Blocks of padding are skipped, so that a part of a tile takes less time.
+        padding = (following * BLOCK >= tile.count) & ~thorough
         return _Work(
-            state.block + 1,
+            jnp.where(padding, pixels // BLOCK, following),
             jax.tree.map(
                 lambda all, some: all.at[these].set(some, mode="drop"),
                 state.result,

@@ -26,6 +26,7 @@ class Tile(NamedTuple):
     - `visibility`: (images, lobes, pixels), or `None` without shadows.
     - `table`: (levels,) or (images, levels), the light of each whole number; `None`
         if the target is light.
+    - `count`: number of pixels before the padding.
     """
 
     target: Shaped[Any, "images pixels 3"]
@@ -33,8 +34,9 @@ class Tile(NamedTuple):
     normal: Float[Any, "pixels 3"]
     position: Float[Any, "some_pixels 3"]
     to_viewer: Float[Any, "some_pixels 3"]
-    visibility: Any = None
-    table: Any = None
+    visibility: Any
+    table: Any
+    count: Int[Any, ""]
 
     def rows(self, rows: Int[Array, " n"]) -> "Tile":
         """Some pixels of a tile of JAX arrays."""
@@ -58,6 +60,7 @@ class Tile(NamedTuple):
             unless_one(self.to_viewer),
             None if self.visibility is None else take(self.visibility, 2),
             self.table,
+            self.count,
         )
 
 

@@ -10,7 +10,6 @@ import numpy as np
 import zarr
 
 import phongfit as pf
-from phongfit.maps.cluster import fit_stored_maps
 from tests.campaign.cases import Case, Kind, Wrong, blaming
 from tests.campaign.damage import damaged
 from tests.campaign.kinds.records import changed
@@ -18,6 +17,7 @@ from tests.campaign.kinds.records import changed
 STOCK = "stores"
 SIDE, BLOCK = 16, (8, 8)
 QUICK: Any = {"unknowns": ("diffuse",), "film": pf.Film(clamp=False), "block": BLOCK}
+APART: Any = QUICK | {"load": False, "progress": False}
 # What metadata may say to make a reader take more than there is.
 LARGE = [2**31, 2**40, 2**62, -1, 0, 1.5, "8", None, [], 10**30]
 
@@ -157,7 +157,7 @@ def _of_run(random: np.random.Generator, stock: Path) -> Case:
     def act(folder: Path) -> None:
         with blaming("zarr"):
             images, out = folder / "stack.zarr", folder / "maps.zarr"
-            stored = fit_stored_maps(_scenes(), images, out, progress=False, **QUICK)
+            stored = pf.fit_maps(_scenes(), images, out=out, **APART)
             found = stored.load().pixel_arrays()
         for name, array in _whole(stock).items():
             if np.asarray(found[name]).tobytes() != np.asarray(array).tobytes():
@@ -184,7 +184,7 @@ def prepare(stock: Path) -> None:
     group = zarr.open_group(folder / "group.zarr", mode="w")
     group.create_array("images", data=levels, chunks=chunks)
     images, out = folder / "stack.zarr", folder / "maps.zarr"
-    fit_stored_maps(_scenes(), images, out, progress=False, **QUICK)
+    pf.fit_maps(_scenes(), images, out=out, **APART)
 
 
 KIND = Kind(make, prepare, seconds=60.0, megabytes=2500.0, share=0.3)

@@ -55,7 +55,7 @@ def one() -> Hidden:
 
 @pytest.fixture(scope="module")
 def maps(one: Hidden, tmp_path_factory) -> pf.Maps:
-    return found(one, materials=1, output=tmp_path_factory.mktemp("one") / "tiles")
+    return found(one, materials=1, out=tmp_path_factory.mktemp("one") / "tiles")
 
 
 def test_one_for_all(one, maps):
@@ -147,13 +147,17 @@ def test_they_are_kept(one, maps, tmp_path):
 def test_a_run_that_goes_on_has_the_same_materials(one, maps, tmp_path):
     """Of another number it is another job."""
     folder = tmp_path / "tiles"
-    first = found(one, output=folder, materials=1)
+    first = found(one, out=folder, materials=1)
     np.testing.assert_array_equal(first.normals, maps.normals)
-    (folder / "diffuse" / "c" / "0" / "0").unlink()
-    second = found(one, output=folder, materials=1)
+    (folder / "diffuse" / "c" / "0" / "0" / "0").unlink()
+    second = found(one, out=folder, materials=1)
     np.testing.assert_array_equal(first.normals, second.normals)
+    stored = pf.StoredMaps(folder).load().materials
+    assert stored is not None and second.materials is not None
+    assert str(stored) == str(second.materials)
+    np.testing.assert_array_equal(stored.weights, second.materials.weights)
     with pytest.raises(ValueError, match="of another job"):
-        found(one, output=folder, materials=2)
+        found(one, out=folder, materials=2)
 
 
 @pytest.mark.extended
