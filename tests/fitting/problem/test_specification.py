@@ -92,13 +92,23 @@ def test_a_fit_knows_what_it_was_asked():
     asked = Specification(bounds={"shininess": (2, 90)}, known=TRUTH, loss="linear")
     fit = pf.fit(scene, image, **asked.changed)
     assert fit.specification == asked
+    again = pf.fit(scene, image, asked)
+    assert again.specification == asked and again.labels == fit.labels
+    np.testing.assert_array_equal(again.values, fit.values)
+    # An option beside it replaces its own.
+    fewer = pf.fit(scene, image, asked, unknowns=("diffuse",))
+    assert fewer.specification == dataclasses.replace(asked, unknowns=("diffuse",))
     # And is itself, whatever it is compared with.
     assert fit == fit and fit != asked and len({fit}) == 1
     assert fit.films == (pf.Film(),) and fit.loss == "Linear"
 
 
 def test_a_misspelt_option_is_named():
-    with pytest.raises(TypeError, match="predict_errors: .*'unknown', expected one of"):
+    with pytest.raises(TypeError, match="predict_errors.*'unknown', expected one of"):
         pf.predict_errors(ball(), TRUTH, 0.01, unknown=("diffuse",))
     with pytest.raises(TypeError, match="'unknown'"):
         pf.fit(ball(), np.zeros((32, 32, 3)), unknown=())  # pyright: ignore
+    with pytest.raises(TypeError, match="'unknown'"):
+        Specification(unknown=())  # pyright: ignore
+    with pytest.raises(ValueError, match="specification: expected a Specification"):
+        pf.fit(ball(), np.zeros((32, 32, 3)), {"unknowns": ()})  # pyright: ignore
