@@ -98,6 +98,10 @@ def fit(
     - `loss`: `"linear"`, `"huber"`, `"soft_l1"`, `"cauchy"`, `"tukey"`, or an
         [`AbstractLoss`][].
     - `max_steps`: limit on the solver's steps, in each of its passes.
+    - `tolerance`: the solver ends where a step changes the unknowns (reflectances,
+        log f, arrays relative to their first values) and the residuals, relative to
+        their root mean square, by less; default $10^{-8}$, or $1.4 \cdot 10^{-5}$ in
+        single precision.
 
     **Returns:** a [`Fit`][]. Numerical failure is reported in its `converged` and
     `warnings`; nothing is raised.

@@ -118,7 +118,8 @@ def fit_texture(
     untraced("fit outside", scene=scene, image=image, noise=noise)
     options = _with_suffix(textures, options, specification)
     asked = specified(specification, options, "fit outside", _DEFAULT)
-    asked.refuse("per_image bounds fixed ties priors uncertain loss", "fit_texture")
+    others = "per_image bounds fixed ties priors uncertain loss tolerance"
+    asked.refuse(others, "fit_texture")
     names = textures_among(asked.unknowns)
     few_names = tuple(n for n in asked.unknowns if not n.endswith(TEXTURE))
     _check_names(names, few_names)

@@ -80,6 +80,7 @@ def make_problem(
         sigma,
         specification.loss,
         setting.films[0].clamp,
+        tolerance=specification.tolerance,
     )
 
 

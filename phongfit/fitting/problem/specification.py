@@ -41,6 +41,7 @@ class SpecificationOptions(TypedDict, total=False):
     film: Film | Sequence[Film] | None
     loss: str | AbstractLoss
     max_steps: int
+    tolerance: float | None
 
 
 @dataclasses.dataclass(frozen=True, init=False)
@@ -64,6 +65,8 @@ class Specification:
     film: Film | tuple[Film, ...] | None
     loss: AbstractLoss
     max_steps: int
+    # Files of older versions have none.
+    tolerance: float | None = None
 
     @checked
     def __init__(self, **options: Unpack[SpecificationOptions]):
@@ -80,6 +83,9 @@ class Specification:
                 f"max_steps: expected a whole number from 1 to {2**31 - 1}, got "
                 f"{steps!r}"
             )
+        tolerance = given["tolerance"]
+        if tolerance is not None and not 0 < tolerance < 1:
+            raise ValueError(f"tolerance: expected a number in (0, 1), got {tolerance}")
         for name in ("unknowns", "per_channel", "per_image"):
             given[name] = _names(name, given[name])
         for name in ("bounds", "fixed", "ties", "priors", "uncertain"):
@@ -96,6 +102,26 @@ class Specification:
     def options(self) -> dict[str, Any]:
         """All options, as keyword arguments of [`fit`][]."""
         return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+
+    def to_dict(self) -> dict[str, Any]:
+        """All options as types that `json.dumps` accepts, for `from_dict`.
+
+        **Raises:** `ValueError` that names an option that JSON cannot hold: a loss that
+        has no name, or `known` with a row for each material.
+        """
+        from phongfit.files.fits import describe_specification
+
+        return describe_specification(self)
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> "Specification":
+        """The specification that `to_dict` wrote; options that are left out are usual.
+
+        **Raises:** `ValueError` that names the option.
+        """
+        from phongfit.files.fits import read_specification
+
+        return read_specification(data)
 
     @property
     def uncertain_arrays(self) -> tuple[str, ...]:
@@ -128,8 +154,8 @@ class Specification:
 
     @property
     def asks_as_usual(self) -> bool:
-        """Whether all options but `film`, `loss` and `max_steps` are the defaults."""
-        return not self.changed.keys() - {"film", "loss", "max_steps"}
+        """Whether all options that concern the unknowns are the defaults."""
+        return not self.changed.keys() - {"film", "loss", "max_steps", "tolerance"}
 
     @property
     def changed(self) -> dict[str, Any]:
@@ -186,6 +212,7 @@ _DEFAULTS: SpecificationOptions = {
     "film": None,
     "loss": "linear",
     "max_steps": 200,
+    "tolerance": None,
 }
 _USUAL = Specification()
 
