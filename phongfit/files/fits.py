@@ -86,7 +86,7 @@ class FilmRecord(AbstractRecord):
     def build(self) -> Film:
         """The film. **Raises:** `ValueError` that names the argument."""
         jpeg = None if self.jpeg is None else JpegCompression(**dict(self.jpeg))
-        return Film(**dict(self) | {"jpeg": jpeg})
+        return Film(self.clamp, self.encoding, self.bits, jpeg)
 
 
 class UncertainRecord(AbstractRecord):

@@ -203,9 +203,10 @@ def _with_suffix(
 ) -> SpecificationOptions:
     """The options, with names of textures that were given without the suffix."""
     unknowns = options.get("unknowns")
-    given = unknowns is not None and specification is None
-    if textures is None and (not given or textures_among(unknowns)):
-        return options
+    if textures is None:
+        given = unknowns is not None and specification is None
+        if not given or textures_among(unknowns or ()):
+            return options
     warn_deprecated(
         f"textures: write unknowns=('diffuse{TEXTURE}', ...), with this suffix for "
         "each texture; names without one will need it from 0.4 on",

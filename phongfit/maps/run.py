@@ -7,8 +7,8 @@ import importlib.metadata
 import os
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any, Literal, NamedTuple, Unpack
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +18,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemaining
 
 from phongfit.checks import untraced
 from phongfit.edge import checked, shown
-from phongfit.fitting.problem.losses import AbstractLoss
+from phongfit.fitting.problem.specification import (
+    Specification,
+    SpecificationOptions,
+    specified,
+)
 from phongfit.maps.ahead import ahead
 from phongfit.maps.job import Fitted, Job, check_scenes, make_job
 from phongfit.maps.materials.bases import held
@@ -39,7 +43,6 @@ from phongfit.maps.stacks import AbstractStack, as_index, as_stack, identify_sta
 from phongfit.maps.store import BlockStore, alone_at, open_store
 from phongfit.maps.strengths import find_strengths, may_be_equal, strength_error
 from phongfit.material import Material
-from phongfit.rendering.film import Film
 from phongfit.scene import Scene
 
 TILES_FORMAT = "phongfit tiles"
@@ -56,15 +59,10 @@ pass, which may be nearly empty, take a small fraction of the time."""
 def fit_maps(
     scenes: Sequence[Scene],
     images: Any,
+    specification: Specification | None = None,
     *,
-    unknowns: Sequence[str] = MAP_PARAMETERS,
-    per_channel: Sequence[str] = ("ambient", "diffuse", "specular"),
-    known: Material | None = None,
-    bounds: Mapping[str, tuple[float, float]] | None = None,
     mask: Any = None,
     noise: Any = None,
-    film: Film | Sequence[Film] | None = None,
-    loss: str | AbstractLoss | None = None,
     normals: Literal["given", "fit"] = "given",
     materials: int | Literal["auto"] | None = None,
     passes: int | None = None,
@@ -75,6 +73,7 @@ def fit_maps(
     devices: Sequence[Any] | None = None,
     output: str | os.PathLike[str] | None = None,
     progress: bool = True,
+    **changes: Unpack[SpecificationOptions],
 ) -> Maps:
     r"""Fit a material to every pixel of images under many lights, with standard errors.
 
@@ -113,6 +112,9 @@ def fit_maps(
         is part of the noise, which is estimated from each pixel's residuals: give no
         `noise` with such files. Light that compression removes from all images alike,
         as at the rim of a highlight, is not restored, unlike in [`fit`][].
+    - `specification`: `unknowns`, `per_channel`, `known`, `bounds`, `film` and `loss`,
+        for several calls. Those that are given beside it replace its own. Other options
+        of [`fit`][] must have their defaults.
     - `loss`: as in [`fit`][]; a robust loss is for images with outliers. Default:
         `"linear"`; `"cauchy"` if normals are fitted, since shadows and
         interreflections are outliers.
@@ -163,6 +165,10 @@ def fit_maps(
     the unknowns, a file of a stack that is missing or broken (finished tiles stay).
     `OSError` if `output` cannot be written, or another run writes there.
     """
+    specification = _specified(specification, changes, normals == "fit")
+    unknowns, per_channel = specification.unknowns, specification.per_channel
+    known, bounds = specification.known, specification.bounds
+    film, loss = specification.film, specification.loss
     instead = "fit_maps is no function that JAX can trace"
     untraced(instead, scenes=scenes, images=images, known=known, mask=mask, noise=noise)
     stack = as_stack(images)
@@ -211,6 +217,18 @@ def fit_maps(
     if strengths == "given":
         error = strength_error(maps, placed, make_job(scenes, stack, **asked))
     return dataclasses.replace(maps, strengths=found, strength_error=error)
+
+
+def _specified(
+    specification: Specification | None, changes: SpecificationOptions, sought: bool
+) -> Specification:
+    """The options of a fit of maps; those that are `None` have their defaults."""
+    given = {name: value for name, value in changes.items() if value is not None}
+    usual = Specification(loss="cauchy" if sought else "linear")
+    specification = specified(specification, given, "fit outside", usual)
+    others = "per_image fixed ties priors uncertain max_steps tolerance"
+    specification.refuse(others, "fit_maps")
+    return specification
 
 
 def _fit_once(

@@ -317,6 +317,7 @@ def test_a_surface_without_uv_is_refused():
     "older, unknowns",
     [
         ({"unknowns": ("specular",)}, (*DIFFUSE, "specular")),
+        ({"unknowns": ()}, DIFFUSE),
         ({"textures": ("specular",), "unknowns": ()}, ("specular.texture",)),
         ({"textures": ("specular",)}, ("specular.texture", "specular", "shininess")),
     ],
