@@ -71,7 +71,7 @@ class JpegRecord(AbstractRecord):
     """The arguments of [`JpegCompression`][]."""
 
     tables: Many[Many[Many[int]]]
-    sampling: Many[Many[int]]
+    sampling: Many[Annotated[tuple[int, int], BeforeValidator(_as_tuple)]]
     ycbcr: bool = True
 
 
