@@ -210,7 +210,7 @@ def fit_texels(
         scenes,
         images,
         size=(size.texels, size.texels),
-        unknowns=("specular", "shininess"),
+        unknowns=("diffuse.texture", "specular", "shininess"),
         per_channel=(),
         known=pf.Material(ambient=0.0),
     )

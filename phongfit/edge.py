@@ -13,7 +13,7 @@ import os
 import types
 import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Any, Literal, NamedTuple, ParamSpec, TypeVar
+from typing import Any, Literal, NamedTuple, ParamSpec, TypeVar, Unpack
 
 import jax
 import jax.numpy as jnp
@@ -42,23 +42,66 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
     `TypeError`, as usual. An iterator given for a sequence is read into a tuple, since
     checking it would consume it.
 
+    Options annotated as `**options: Unpack[...]` of a `TypedDict` are checked by its
+    annotations, and are in the function's signature, where their default `...` means
+    that of the options.
+
     **Raises:** `ValueError` that names the argument, what was expected and what came.
     """
+    signature = inspect.signature(function)
     names = [
         name
-        for name, parameter in inspect.signature(function).parameters.items()
-        if parameter.kind is not inspect.Parameter.KEYWORD_ONLY
+        for name, parameter in signature.parameters.items()
+        if parameter.kind
+        in (parameter.POSITIONAL_ONLY, parameter.POSITIONAL_OR_KEYWORD)
     ]
-    kinds = _Kinds(function)
+    kinds, options = _Kinds(function), _options_of(function)
+    whole = _with_options(signature, options) if options else signature
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
         named = [kinds.check(*pair) for pair in zip(names, args, strict=False)]
-        options = {name: kinds.check(name, value) for name, value in kwargs.items()}
+        given = {name: kinds.check(name, value) for name, value in kwargs.items()}
+        if options:
+            _check_names(function.__name__, kwargs, whole)
         # For surplus arguments the function raises its own TypeError.
-        return function(*named, *args[len(named) :], **options)  # pyright: ignore
+        return function(*named, *args[len(named) :], **given)  # pyright: ignore
 
+    if options:
+        vars(call)["__signature__"] = whole
     return call
+
+
+def _options_of(annotated: Any) -> dict[str, Any]:
+    """Annotations of the options in `**options: Unpack[...]`, if there are any."""
+    for hint in inspect.get_annotations(inspect.unwrap(annotated)).values():
+        if typing.get_origin(hint) is Unpack:
+            return inspect.get_annotations(typing.get_args(hint)[0])
+    return {}
+
+
+def _with_options(
+    signature: inspect.Signature, options: Mapping[str, Any]
+) -> inspect.Signature:
+    """The signature with each of the options in place of `**options`."""
+    *others, _ = signature.parameters.values()
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    named = [
+        inspect.Parameter(name, keyword, default=..., annotation=hint)
+        for name, hint in options.items()
+    ]
+    return signature.replace(parameters=[*others, *named])
+
+
+def _check_names(
+    function: str, given: Iterable[str], signature: inspect.Signature
+) -> None:
+    for name in given:
+        if name not in signature.parameters:
+            raise TypeError(
+                f"{function}() got an unexpected keyword argument {name!r}, expected "
+                f"one of {', '.join(signature.parameters)}"
+            )
 
 
 def check_fields(record: Any) -> None:
@@ -94,6 +137,7 @@ class _Kinds:
         """
         if self._kinds is None:
             hints = inspect.get_annotations(inspect.unwrap(self._annotated))
+            hints |= _options_of(self._annotated)
             self._kinds = {key: kind_of(hint) for key, hint in hints.items()}
         kind = self._kinds.get(name)
         if kind is None:

@@ -30,9 +30,10 @@ MOVED = {
 """Names by the module, relative to `phongfit`, in which they are public now."""
 
 
-def warn_deprecated(words: str) -> None:
+def warn_deprecated(words: str, deeper: int = 0) -> None:
     """Warn that a name or an argument will be removed.
 
-    The warning shows the line that called the caller of this function.
+    The warning shows the line that called the caller of this function, or one that is
+    so many calls `deeper`.
     """
-    warnings.warn(words, DeprecationWarning, stacklevel=3)
+    warnings.warn(words, DeprecationWarning, stacklevel=3 + deeper)

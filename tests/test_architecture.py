@@ -60,6 +60,7 @@ LATER = {
     "phongfit/material.py": ("phongfit.report.",),
     "phongfit/scene.py": ("phongfit.report.",),
     "phongfit/fitting/result.py": ("phongfit.report.", "phongfit.files.saved."),
+    "phongfit/fitting/problem/specification.py": ("phongfit.files.fits.",),
     "phongfit/commands/synth.py": ("data_synth.",),
 }
 SOURCES = {

@@ -1,9 +1,10 @@
 """The public edge: what is of a wrong kind is refused by name, all else passes."""
 
+import inspect
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypedDict, Unpack
 
 import equinox as eqx
 import jax
@@ -122,6 +123,30 @@ def test_the_function_is_called_as_before():
 def test_words(args, words):
     with pytest.raises(ValueError, match=re.escape(words)):
         example(*args)
+
+
+class Wishes(TypedDict, total=False):
+    """Options of a function."""
+
+    colour: Literal["red", "blue"]
+
+
+@checked
+def wishing(scene: pf.Scene, *, count: int = 1, **wishes: Unpack[Wishes]) -> Any:
+    """An example with options."""
+    return scene, count, wishes
+
+
+def test_options_are_checked_one_by_one():
+    assert wishing(SCENE, colour="red") == (SCENE, 1, {"colour": "red"})
+    with pytest.raises(ValueError, match="colour: expected 'red' or 'blue', got 3"):
+        wishing(SCENE, colour=3)  # pyright: ignore
+    with pytest.raises(
+        TypeError, match=r"wishing\(\) got .* 'color', expected one of scene, count, c"
+    ):
+        wishing(SCENE, color="red")  # pyright: ignore
+    # Programs that complete names and write help read them here.
+    assert {"scene", "mask", "unknowns"} <= inspect.signature(pf.fit).parameters.keys()
 
 
 def test_what_python_says_itself():

@@ -2,7 +2,7 @@
 
 import dataclasses
 import shlex
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -17,7 +17,6 @@ from phongfit.commands.options import (
     OutFolder,
     UnknownOptions,
     changed,
-    known_material,
     optional,
     refuse,
     specification_of,
@@ -44,7 +43,12 @@ from phongfit.fitting.problem.parameters import TEXTURE
 from phongfit.fitting.problem.specification import Specification, as_names
 from phongfit.fitting.result import Fit
 from phongfit.fitting.texels.result import TextureFit
-from phongfit.fitting.texture_fit import TEXTURED, fit_texture
+from phongfit.fitting.texture_fit import (
+    MAX_STEPS,
+    TEXTURED,
+    fit_texture,
+    textures_among,
+)
 
 FIT_FILE = "fit.json"
 PICTURE_FILE = "comparison.png"
@@ -77,20 +81,14 @@ class TextureOptions:
     smoothness: Annotated[float | None, optional("SD")] = None
 
 
-def textures_among(unknowns: Sequence[str]) -> tuple[str, ...]:
-    """Parameters whose textures are among the unknowns."""
-    return tuple(n.removesuffix(TEXTURE) for n in unknowns if n.endswith(TEXTURE))
-
-
 def arguments_for(
     unknown: UnknownOptions, fitting: FitOptions, texture: TextureOptions
 ) -> dict[str, Any]:
-    """Keyword arguments of [`fit_texture`][], without the data.
+    """Arguments of [`fit_texture`][], without the data; none without textures.
 
     **Raises:** `ValueError` that names the option.
     """
-    names = textures_among(unknown.unknowns)
-    if not names:
+    if not textures_among(unknown.unknowns):
         refuse(
             texture,
             "texture_size separate smoothness",
@@ -98,34 +96,35 @@ def arguments_for(
             f"{TEXTURED[1]}{TEXTURE}",
         )
         return {}
-    others = "per_image bounds fixed ties priors"
-    refuse(unknown, others, "expected none with textures")
-    if fitting.loss != "linear":
-        raise ValueError(f"loss: expected linear with textures, got {fitting.loss}")
-    if texture.texture_size is None:
+    size = texture.texture_size
+    if size is None:
         raise ValueError(
             "texture_size: expected columns and rows of the textures, or vertices, got "
             "none"
         )
-    size = texture.texture_size
-    steps = {"max_steps": fitting.max_steps} if "max_steps" in changed(fitting) else {}
+    asked = specification_of(unknown, fitting)
+    if "max_steps" not in changed(fitting):
+        asked = dataclasses.replace(asked, max_steps=MAX_STEPS)
     return {
+        "specification": asked,
         "size": size if isinstance(size, str) else size[::-1],
-        "textures": names,
-        "unknowns": tuple(n for n in unknown.unknowns if not n.endswith(TEXTURE)),
-        "per_channel": unknown.per_channel,
-        "known": known_material(fitting.known),
         "separate": texture.separate,
         "smoothness": texture.smoothness,
         "noise": fitting.noise,
-        **steps,
     }
 
 
-def as_settings(given: dict[str, Any]) -> dict[str, Any]:
+def as_settings(found: TextureFit, given: dict[str, Any]) -> dict[str, Any]:
     """Settings of a fit of textures, for its record."""
-    known = given["known"]
-    return given | {"known": None if known is None else describe_material(known)}
+    given = dict(given)
+    asked = given.pop("specification")
+    return given | {
+        "textures": found.names,
+        "unknowns": [n for n in asked.unknowns if not n.endswith(TEXTURE)],
+        "per_channel": asked.per_channel,
+        "known": None if asked.known is None else describe_material(asked.known),
+        "max_steps": asked.max_steps,
+    }
 
 
 def draw(folder: Path, found: TextureFit, data: Dataset, command: str) -> None:
@@ -229,7 +228,7 @@ def _fit_textures(options: Options, given: dict[str, Any]) -> int:
             found = fit_texture(
                 data.scenes, data.images, mask=data.masks, film=data.film, **given
             )
-        settings = as_settings(given)
+        settings = as_settings(found, given)
         save_texture_fit(folder, found, data.scenes[0], data=read, settings=settings)
         with keeping(options.out, folder) as kept:
             print(found, flush=True)
@@ -303,11 +302,11 @@ def _with_unknown(asked: Specification, data: Dataset, refine: bool) -> Specific
 
 def _fit(data: Dataset, asked: Specification, noise: float | None) -> Fit:
     # A single image is not passed as a tuple, so that its residual is one image too.
-    options: dict[str, Any] = dataclasses.replace(asked, film=data.film).options
-    options["noise"] = noise
-    if len(data.images) == 1:
-        return fit(data.scenes[0], data.images[0], mask=data.masks[0], **options)
-    return fit(data.scenes, data.images, mask=data.masks, **options)
+    asked = dataclasses.replace(asked, film=data.film)
+    scenes, images, mask = data.scenes, data.images, data.masks
+    if len(images) == 1:
+        scenes, images, mask = scenes[0], images[0], mask[0]
+    return fit(scenes, images, asked, mask=mask, noise=noise)
 
 
 def _compare(record: FitRecord, found: Fit, read: DataRecord) -> bool:

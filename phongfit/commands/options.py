@@ -117,6 +117,8 @@ class FitOptions:
         loss: Loss function of the residuals; all but linear are robust to outliers,
             tukey the most.
         max_steps: Maximum number of the solver's steps, in each of its passes.
+        tolerance: The solver ends at a smaller step. Default: 1e-8, or 1.4e-5 in single
+            precision.
     """
 
     known: Annotated[str | None, optional("preset:NAME|FILE")] = None
@@ -126,6 +128,8 @@ class FitOptions:
     loss: LossName = "linear"
 
     max_steps: Annotated[int, arg(metavar="N")] = 200
+
+    tolerance: Annotated[float | None, optional("T")] = None
 
 
 def specification_of(unknowns: UnknownOptions, options: FitOptions) -> Specification:
@@ -142,6 +146,7 @@ def specification_of(unknowns: UnknownOptions, options: FitOptions) -> Specifica
         known=known_material(options.known),
         loss=options.loss,
         max_steps=options.max_steps,
+        tolerance=options.tolerance,
     )
 
 

@@ -1,5 +1,6 @@
 """`fit.json`: a fit with its standard errors and the settings that repeat it."""
 
+import dataclasses
 import importlib.metadata
 import math
 import os
@@ -13,20 +14,24 @@ from jaxtyping import Float
 from pydantic import BeforeValidator, Field, model_validator
 
 from phongfit.files.arguments import describe
+from phongfit.files.encodings import EncodingField, describe_encoding
 from phongfit.files.inputs import naming
 from phongfit.files.outputs import write_json
-from phongfit.files.records import AbstractRecord, Many, Vector, read_record
+from phongfit.files.records import AbstractRecord, Many, Vector, read_record, validated
 from phongfit.files.schema import MaterialRecord, SpecularRecord, describe_material
 from phongfit.fitting.problem.losses import LOSSES
 from phongfit.fitting.problem.specification import (
     DEFAULT_PER_CHANNEL,
     DEFAULT_UNKNOWNS,
     Specification,
+    as_names,
 )
 from phongfit.fitting.result import Fit
 from phongfit.material import Material
 from phongfit.plain import plain
 from phongfit.reflectance import AbstractSpecular
+from phongfit.rendering.film import Film
+from phongfit.rendering.jpeg import JpegCompression
 from phongfit.scene import Scene
 
 FIT_FORMAT = "phongfit fit"
@@ -46,17 +51,49 @@ Numbers = Many[float | None]
 Edges = Annotated[tuple[float | None, float | None], BeforeValidator(_as_tuple)]
 """(low, high), where null is infinity."""
 
-Pair = Annotated[tuple[float, float], BeforeValidator(_as_tuple)]
-"""Two numbers."""
-
 Follows = Annotated[tuple[float, str], BeforeValidator(_as_tuple)]
 """(factor, label)."""
 
 Nested = float | None | Numbers | Many[Numbers]
 """A parameter: one number, RGB, or a row for each of several materials."""
 
+Entries = float | Many[float] | Many[Many[float]]
+"""A number, or a vector or matrix of them."""
+
+Prior = Annotated[tuple[float | Many[float], float], BeforeValidator(_as_tuple)]
+"""(mean, standard deviation); the mean is one number or one for each entry."""
+
 Digest = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 """A SHA-256 in hexadecimal digits."""
+
+
+class JpegRecord(AbstractRecord):
+    """The arguments of [`JpegCompression`][]."""
+
+    tables: Many[Many[Many[int]]]
+    sampling: Many[Annotated[tuple[int, int], BeforeValidator(_as_tuple)]]
+    ycbcr: bool = True
+
+
+class FilmRecord(AbstractRecord):
+    """The arguments of a [`Film`][]."""
+
+    clamp: bool = True
+    encoding: EncodingField = "linear"
+    bits: int | None = None
+    jpeg: JpegRecord | None = None
+
+    def build(self) -> Film:
+        """The film. **Raises:** `ValueError` that names the argument."""
+        jpeg = None if self.jpeg is None else JpegCompression(**dict(self.jpeg))
+        return Film(self.clamp, self.encoding, self.bits, jpeg)
+
+
+class UncertainRecord(AbstractRecord):
+    """Arrays of the scenes, and the covariance or standard deviations of all."""
+
+    arrays: Annotated[Many[str], Field(min_length=1)]
+    covariance: Entries
 
 
 class FitSettings(AbstractRecord):
@@ -67,38 +104,27 @@ class FitSettings(AbstractRecord):
     per_image: Many[str] = []
     known: MaterialRecord | None = None
     bounds: dict[str, Edges] = {}
-    fixed: dict[str, float] = {}
+    fixed: dict[str, Entries] = {}
     ties: dict[str, Follows] = {}
-    priors: dict[str, Pair] = {}
+    priors: dict[str, Prior] = {}
     noise: Annotated[float, Field(gt=0)] | None = None
     loss: LossName = "linear"
     max_steps: Annotated[int, Field(ge=1)] = 200
-
-    @classmethod
-    def of(cls, specification: Specification, noise: float | None) -> "FitSettings":
-        """Settings from a specification.
-
-        Without `film` and `uncertain`, which are read with the data.
-
-        **Raises:** `ValueError` for a loss that has no name.
-        """
-        given = dict(specification.options)
-        del given["film"], given["uncertain"]
-        known, loss = specification.known, specification.loss
-        names = [name for name, one in LOSSES.items() if one == loss]
-        if not names:
-            raise ValueError(f"loss: expected one of {', '.join(LOSSES)}, got {loss}")
-        given |= {
-            "known": None if known is None else describe_material(known),
-            "loss": names[0],
-            "noise": noise,
-        }
-        return cls.model_validate(plain(given))
+    tolerance: float | None = None
+    # A fit.json has neither of these, which are read with the data.
+    uncertain: Many[UncertainRecord] = []
+    film: FilmRecord | Many[FilmRecord] | None = None
 
     def specification(self) -> Specification:
-        """The specification, without the film, which is read with the data."""
+        """The specification.
+
+        **Raises:** `ValueError` that names the option.
+        """
         with naming("known"):
             known = None if self.known is None else self.known.build()
+        with naming("film"):
+            films = self.film if isinstance(self.film, list) else [self.film]
+            film = [None if one is None else one.build() for one in films]
         bounds = {
             name: (
                 -math.inf if low is None else low,
@@ -106,9 +132,72 @@ class FitSettings(AbstractRecord):
             )
             for name, (low, high) in self.bounds.items()
         }
-        given = dict(self) | {"known": known, "bounds": bounds}
+        uncertain = {
+            one.arrays[0] if len(one.arrays) == 1 else tuple(one.arrays): one.covariance
+            for one in self.uncertain
+        }
+        given = dict(self) | {
+            "known": known,
+            "bounds": bounds,
+            "uncertain": uncertain,
+            "film": film if isinstance(self.film, list) else film[0],
+        }
         del given["noise"]
         return Specification(**given)
+
+
+def describe_specification(specification: Specification) -> dict[str, Any]:
+    """The options of a fit as JSON, which [`FitSettings`][] reads.
+
+    **Raises:** `ValueError` that names an option that JSON cannot hold.
+    """
+    known, film, loss = (getattr(specification, n) for n in ("known", "film", "loss"))
+    names = [name for name, one in LOSSES.items() if one == loss]
+    if not names:
+        raise ValueError(f"loss: expected one of {', '.join(LOSSES)}, got {loss}")
+    with naming("known"):
+        known = None if known is None else describe_material(known)
+    described = None
+    if film is not None:
+        several = isinstance(film, tuple)
+        described = [*map(_describe_film, film)] if several else _describe_film(film)
+    uncertain = [
+        {"arrays": as_names(key), "covariance": covariance}
+        for key, covariance in specification.uncertain.items()
+    ]
+    return plain(
+        specification.options
+        | {
+            "known": known,
+            "loss": names[0],
+            "film": described,
+            "uncertain": uncertain,
+        }
+    )
+
+
+def read_specification(data: Any) -> Specification:
+    """The specification that [`describe_specification`][] wrote.
+
+    **Raises:** `ValueError` that names the option.
+    """
+    return validated(data, FitSettings).specification()
+
+
+def _describe_film(film: Film) -> dict[str, Any]:
+    jpeg = None if film.jpeg is None else dataclasses.asdict(film.jpeg)
+    encoding = describe_encoding(film.encoding)
+    return {"clamp": film.clamp, "encoding": encoding, "bits": film.bits, "jpeg": jpeg}
+
+
+def _settings(specification: Specification, noise: float | None) -> dict[str, Any]:
+    """The settings of a fit.json: without what is read with the data."""
+    given = describe_specification(specification) | {"noise": plain(noise)}
+    if given["tolerance"] is None:
+        # Older versions do not read it.
+        del given["tolerance"]
+    del given["film"], given["uncertain"]
+    return given
 
 
 class DataSettings(AbstractRecord):
@@ -250,7 +339,7 @@ def write_fit_record(
         "format": FIT_FORMAT,
         "version": FIT_VERSION,
         "data": data.model_dump(),
-        "settings": FitSettings.of(fit.specification, noise).model_dump(),
+        "settings": _settings(fit.specification, noise),
         "model": describe(scene.specular_model),
         **numbers,
         "made_with": made_with(),

@@ -1,51 +1,42 @@
 """`fit`: images and geometry in, a material with error bars out."""
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
+from typing import Any, Unpack
 
 import numpy as np
 
 from phongfit.checks import untraced
 from phongfit.edge import checked
 from phongfit.fitting.encodings import with_encoding_doubts
-from phongfit.fitting.problem.losses import AbstractLoss
 from phongfit.fitting.problem.posing import set_up
 from phongfit.fitting.problem.specification import (
-    DEFAULT_PER_CHANNEL,
-    DEFAULT_UNKNOWNS,
     Specification,
-    Tie,
-    Uncertain,
+    SpecificationOptions,
+    specified,
 )
 from phongfit.fitting.result import Fit
 from phongfit.fitting.solve.minimum import find_minimum
 from phongfit.fitting.summary import describe
-from phongfit.material import Material
 from phongfit.rendering.film import Film
 from phongfit.scene import Scene
+
+_INSTEAD = (
+    "fit once outside, and differentiate refit(fit, scene, image), which starts from "
+    "that fit"
+)
 
 
 @checked
 def fit(
     scene: Scene | Sequence[Scene],
     image: Any,
+    specification: Specification | None = None,
     *,
-    unknowns: Sequence[str] | None = DEFAULT_UNKNOWNS,
-    per_channel: Sequence[str] | None = DEFAULT_PER_CHANNEL,
-    known: Material | None = None,
-    per_image: Sequence[str] | None = (),
-    bounds: Mapping[str, tuple[float, float]] | None = None,
-    fixed: Mapping[str, Any] | None = None,
-    ties: Mapping[str, Tie] | None = None,
-    priors: Mapping[str, tuple[Any, float]] | None = None,
-    uncertain: Uncertain | None = None,
     mask: Any = None,
     weights: Any = None,
     noise: Any = None,
-    film: Film | Sequence[Film] | None = None,
-    loss: str | AbstractLoss = "linear",
-    max_steps: int = 200,
+    **options: Unpack[SpecificationOptions],
 ) -> Fit:
     r"""The material that explains one or several images, with standard errors.
 
@@ -58,6 +49,8 @@ def fit(
     - `scene`: a scene, or a sequence of scenes (lights, views) of one material.
     - `image`: (height, width, 3) linear light where white is 1, or a sequence of these,
         one a scene.
+    - `specification`: all options below but `mask`, `weights` and `noise`, for several
+        calls. Those that are given beside it replace its own.
     - `unknowns`: parameters of the material to fit. If the surface is made of M
         materials, each has its own, and the result has parameters of shape (M, 3) or
         (M, 1). Further, arrays of the scene by their paths, such as
@@ -105,6 +98,10 @@ def fit(
     - `loss`: `"linear"`, `"huber"`, `"soft_l1"`, `"cauchy"`, `"tukey"`, or an
         [`AbstractLoss`][].
     - `max_steps`: limit on the solver's steps, in each of its passes.
+    - `tolerance`: the solver ends where a step changes the unknowns (reflectances,
+        log f, arrays relative to their first values) and the residuals, relative to
+        their root mean square, by less; default $10^{-8}$, or $1.4 \cdot 10^{-5}$ in
+        single precision.
 
     **Returns:** a [`Fit`][]. Numerical failure is reported in its `converged` and
     `warnings`; nothing is raised.
@@ -117,36 +114,9 @@ def fit(
     if not isinstance(scene, Scene) and isinstance(image, Iterable):
         # The images are read twice, which a generator does not allow.
         image = list(image)
-    untraced(
-        "fit once outside, and differentiate refit(fit, scene, image), which starts "
-        "from that fit",
-        scene=scene,
-        image=image,
-        known=known,
-        bounds=bounds,
-        fixed=fixed,
-        ties=ties,
-        priors=priors,
-        uncertain=list((uncertain or {}).values()),
-        mask=mask,
-        weights=weights,
-        noise=noise,
-    )
-    specification = Specification(
-        unknowns=unknowns,
-        per_channel=per_channel,
-        per_image=per_image,
-        known=known,
-        bounds=bounds,
-        fixed=fixed,
-        ties=ties,
-        priors=priors,
-        uncertain=uncertain,
-        film=film,
-        loss=loss,
-        max_steps=max_steps,
-    )
     single, data = isinstance(scene, Scene), {"mask": mask, "weights": weights}
+    untraced(_INSTEAD, scene=scene, image=image, noise=noise, **data)
+    specification = specified(specification, options, _INSTEAD)
     posed = set_up(specification, scene, image, noise=noise, **data)
     found = describe(posed, find_minimum(posed))
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Unpack
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -16,7 +16,11 @@ from phongfit.fitting.problem.losses import Linear
 from phongfit.fitting.problem.posing import set_up
 from phongfit.fitting.problem.problem import Problem, evaluate
 from phongfit.fitting.problem.samples import gather, seen_pixels
-from phongfit.fitting.problem.specification import Specification
+from phongfit.fitting.problem.specification import (
+    Specification,
+    SpecificationOptions,
+    specified,
+)
 from phongfit.fitting.result import as_materials
 from phongfit.fitting.solve.edges import off_edges
 from phongfit.fitting.solve.jpeg import foresee
@@ -71,9 +75,11 @@ def predict_errors(
     scene: Scene | Sequence[Scene],
     material: Material,
     noise: Any,
+    specification: Specification | None = None,
     *,
-    film: Film | Sequence[Film] | None = None,
-    **options: Any,
+    mask: Any = None,
+    weights: Any = None,
+    **options: Unpack[SpecificationOptions],
 ) -> Prediction:
     r"""Standard errors that [`fit`][] would state for photographs not yet taken.
 
@@ -91,10 +97,11 @@ def predict_errors(
         be unknown have the true values here.
     - `material`: the true one.
     - `noise`: standard deviation in linear light, as for [`fit`][].
-    - `film`: how light will become numbers, one or one a scene; default a clamp alone.
-        The rounding of a JPEG file is simulated, as in [`fit`][].
-    - `options`: of [`fit`][]: `unknowns`, `per_channel`, `per_image`, `bounds`,
-        `fixed`, `ties`, `priors`, `uncertain`, `mask`, `weights`.
+    - `specification`, and options beside it: as for [`fit`][]. The loss must be linear;
+        parameters that a specification has as `known` have the values of `material`.
+        `film`: how light will become numbers, one or one a scene; default a clamp
+        alone. The rounding of a JPEG file is simulated, as in [`fit`][].
+    - `mask`, `weights`: as for [`fit`][].
 
     **Returns:** a [`Prediction`][].
 
@@ -102,28 +109,22 @@ def predict_errors(
     an unknown option.
     """
     instead = "call predict_errors outside of what JAX traces"
-    untraced(instead, scene=scene, material=material, noise=noise, **options)
-    film = Film() if film is None else film
+    data = {"mask": mask, "weights": weights, "noise": noise}
+    untraced(instead, scene=scene, material=material, **data)
+    specification = specified(specification, options, instead)
+    specification.refuse("loss", "predict_errors")
+    if "known" in options:
+        raise ValueError("known: expected none, since material has all parameters")
     single = isinstance(scene, Scene)
     scenes = [scene] if single else list(scene)
-    films = as_films(film, len(scenes), "scene")
+    films = as_films(specification.film or Film(), len(scenes), "scene")
     images = [
         _photograph(one, material, how) for one, how in zip(scenes, films, strict=True)
     ]
-    data = {name: options.pop(name, None) for name in ("mask", "weights")}
     setting = set_up(
-        Specification.checked(
-            "predict_errors",
-            options,
-            others=("mask", "weights"),
-            known=material,
-            film=tuple(films),
-            loss="linear",
-            max_steps=200,
-        ),
+        dataclasses.replace(specification, known=material, film=films),
         scene,
         images[0] if single else images,
-        noise=noise,
         **data,
     )
     unknowns = setting.unknowns

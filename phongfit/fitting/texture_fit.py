@@ -7,7 +7,7 @@ damped steps.
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any, Literal, Unpack
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +16,12 @@ from phongfit.checks import as_floats, untraced
 from phongfit.edge import checked
 from phongfit.fitting.problem.inputs import as_photographs, as_scenes
 from phongfit.fitting.problem.noise import arithmetic_floor, find_film
+from phongfit.fitting.problem.parameters import TEXTURE
+from phongfit.fitting.problem.specification import (
+    Specification,
+    SpecificationOptions,
+    specified,
+)
 from phongfit.fitting.texels.job import Few, Job
 from phongfit.fitting.texels.judged import judge
 from phongfit.fitting.texels.lit import BASIS, Photographs, without
@@ -24,23 +30,29 @@ from phongfit.fitting.texels.steps import find_start, solve
 from phongfit.fitting.texels.sums import AbstractTexels, Grid
 from phongfit.fitting.texels.vertices import Vertices, as_mesh
 from phongfit.material import Material
-from phongfit.rendering.film import Film, as_films
+from phongfit.moved import warn_deprecated
+from phongfit.rendering.film import as_films
 from phongfit.scene import Scene
 from phongfit.textures import Filter, Wrap
 
 TEXTURED = ("ambient", "diffuse", "specular", "shininess")
+"""Parameters that may have a texture."""
+
+MAX_STEPS = 20
+"""Largest number of steps by default. Most fits need a few, each over all texels."""
+
+_DEFAULT = Specification(
+    unknowns=(f"diffuse{TEXTURE}", "specular", "shininess"), max_steps=MAX_STEPS
+)
 
 
 @checked
 def fit_texture(
     scene: Scene | Sequence[Scene],
     image: Any,
+    specification: Specification | None = None,
     *,
     size: tuple[int, int] | Literal["vertices"],
-    textures: Sequence[str] = ("diffuse",),
-    unknowns: Sequence[str] = ("specular", "shininess"),
-    per_channel: Sequence[str] = ("ambient", "diffuse", "specular"),
-    known: Material | None = None,
     separate: bool = False,
     smoothness: float | None = None,
     filter: Filter = "bilinear",
@@ -48,8 +60,8 @@ def fit_texture(
     mask: Any = None,
     weights: Any = None,
     noise: Any = None,
-    film: Film | Sequence[Film] | None = None,
-    max_steps: int = 20,
+    textures: Sequence[str] | None = None,
+    **options: Unpack[SpecificationOptions],
 ) -> TextureFit:
     r"""Textures that explain photographs of a mesh, texel by texel, with errors.
 
@@ -64,24 +76,32 @@ def fit_texture(
         are images it must have uv. Other textures of the mesh are known, and apply as
         usual.
     - `image`: as in [`fit`][].
+    - `specification`: the options below from `unknowns` on, for several calls. Those
+        that are given beside it replace its own. Other options of [`fit`][] must have
+        their defaults.
     - `size`: rows and columns of the fitted textures; or `"vertices"`: a value for each
         vertex of the mesh, as in [`VertexColours`][].
-    - `textures`: parameters with a value for each texel and channel: some of
-        `"ambient"`, `"diffuse"`, `"specular"`, and `"shininess"`, which has one value
-        for all channels. Exponents need lamps at many angles: a texel without a lamp
-        near its mirror direction does not determine its exponent.
-    - `unknowns`: other parameters, with one value for each material.
-    - `per_channel`: those of `unknowns` with separate values for red, green and blue.
-    - `known`: the parameters in neither; default reflectances of 0 and an exponent of
-        32. For M materials, parameters have shape (M, 3), (M, 1), or less.
     - `separate`: whether each material has its own texture; default one for all.
     - `smoothness`: standard deviation of differences between neighbouring texels, as a
         prior, which softens sharp edges; default no such prior. For exponents it is
         that of log f: 0.05 means differences of 5 %.
     - `filter`, `wrap`: as in [`Texture`][].
-    - `mask`, `weights`, `noise`, `film`: as in [`fit`][].
+    - `mask`, `weights`, `noise`: as in [`fit`][].
+    - `unknowns`: parameters with a value for each texel and channel, some of
+        `"ambient.texture"`, `"diffuse.texture"`, `"specular.texture"`, and
+        `"shininess.texture"`, which has one value for all channels; and, without the
+        suffix, parameters with one value for each material. Default: the texture of
+        diffuse reflectance, specular reflectance and exponent. Textures of exponents
+        need lamps at many angles: a texel without a lamp near its mirror direction does
+        not determine its exponent.
+    - `per_channel`: the unknowns of a material with separate values for red, green and
+        blue.
+    - `known`: the parameters that are not unknown; default reflectances of 0 and an
+        exponent of 32. For M materials, parameters have shape (M, 3), (M, 1), or less.
+    - `film`: as in [`fit`][].
     - `max_steps`: limit on Gauss-Newton steps, or with exponents on Levenberg-Marquardt
-        steps.
+        steps; default 20.
+    - `textures`: the older spelling of unknowns with the suffix; it goes with 0.4.
 
     Each texel has a prior of 0.5 ± 1, which matters only where the photographs contain
     almost no information. A texel with an error above 0.5 is not identified, and its
@@ -95,17 +115,22 @@ def fit_texture(
 
     **Raises:** `ValueError` that names the argument.
     """
-    untraced("fit outside", scene=scene, image=image, known=known, noise=noise)
-    names, few_names = tuple(textures), tuple(unknowns)
+    untraced("fit outside", scene=scene, image=image, noise=noise)
+    options = _with_suffix(textures, options, specification)
+    asked = specified(specification, options, "fit outside", _DEFAULT)
+    others = "per_image bounds fixed ties priors uncertain loss tolerance"
+    asked.refuse(others, "fit_texture")
+    names = textures_among(asked.unknowns)
+    few_names = tuple(n for n in asked.unknowns if not n.endswith(TEXTURE))
     _check_names(names, few_names)
     scenes = as_scenes(scene)
     observed = as_photographs(
         scene if isinstance(scene, Scene) else scenes, image, mask, weights, noise
     )
-    if film is None:
+    if asked.film is None:
         films = (find_film([one.used() for one in observed]),) * len(observed)
     else:
-        films = as_films(film, len(observed))
+        films = as_films(asked.film, len(observed))
     if len({one.clamp for one in films}) > 1:
         raise ValueError("film: expected one clamp for all images, got both")
     if smoothness is not None and not 0 < smoothness < np.inf:
@@ -114,12 +139,12 @@ def fit_texture(
     grid = _texels(size, materials if separate else 1, scenes[0], filter, wrap)
     for one in scenes:
         grid.check(one.surface)
-    channels = {name: name in per_channel and name != "shininess" for name in few_names}
+    per_channel = {*asked.per_channel} - {"shininess"}
     few = [
         Few(name, material, channel)
         for name in few_names
         for material in range(materials)
-        for channel in (range(3) if channels[name] else [None])
+        for channel in (range(3) if name in per_channel else [None])
     ]
     observed = tuple(
         dataclasses.replace(one, scene=without(one.scene, names)) for one in observed
@@ -138,10 +163,10 @@ def fit_texture(
     )
     if not any(len(one.place) for one in job.images):
         raise ValueError("mask: it leaves no pixel that sees the surface")
-    numbers = _numbers(known, materials)
+    numbers = _numbers(asked.known, materials)
     start, sigma = find_start(job, numbers, noise is not None)
     state, sigma, system, converged, steps = solve(
-        job, start, sigma, noise is not None, max_steps
+        job, start, sigma, noise is not None, asked.max_steps
     )
     return judge(job, state, sigma, system, noise is not None, converged, steps)
 
@@ -166,24 +191,47 @@ def _texels(
     return Grid(layers, rows, columns, wrap, filter)
 
 
+def textures_among(unknowns: Sequence[str]) -> tuple[str, ...]:
+    """Parameters whose textures are among the unknowns."""
+    return tuple(n.removesuffix(TEXTURE) for n in unknowns if n.endswith(TEXTURE))
+
+
+def _with_suffix(
+    textures: Sequence[str] | None,
+    options: SpecificationOptions,
+    specification: Specification | None,
+) -> SpecificationOptions:
+    """The options, with names of textures that were given without the suffix."""
+    unknowns = options.get("unknowns")
+    if textures is None:
+        given = unknowns is not None and specification is None
+        if not given or textures_among(unknowns or ()):
+            return options
+    warn_deprecated(
+        f"textures: write unknowns=('diffuse{TEXTURE}', ...), with this suffix for "
+        "each texture; names without one will need it from 0.4 on",
+        deeper=2,
+    )
+    few = _DEFAULT.unknowns[1:] if unknowns is None else tuple(unknowns)
+    names = (TEXTURED[1],) if textures is None else tuple(textures)
+    return {**options, "unknowns": (*(f"{name}{TEXTURE}" for name in names), *few)}
+
+
 def _check_names(names: tuple[str, ...], few: tuple[str, ...]) -> None:
-    for argument, given, known in (
-        ("textures", names, TEXTURED),
-        ("unknowns", few, TEXTURED),
-    ):
-        for name in given:
-            if name not in known:
-                wanted = ", ".join(known)
-                raise ValueError(f"{argument}: expected some of {wanted}, got {name!r}")
-        if len(set(given)) < len(given):
-            raise ValueError(f"{argument}: expected each name once, got {given}")
+    for name in (*names, *few):
+        if name not in TEXTURED:
+            wanted = ", ".join(TEXTURED)
+            raise ValueError(
+                f"unknowns: expected some of {wanted}, with {TEXTURE} or without, got "
+                f"{name!r}"
+            )
     if not names:
-        raise ValueError("textures: expected at least one, got none")
+        raise ValueError(
+            f"unknowns: expected a texture, such as {TEXTURED[1]}{TEXTURE}, got none"
+        )
     for name in names:
         if name in few:
-            raise ValueError(
-                f"unknowns: {name} has a texture; expected it in one of the two"
-            )
+            raise ValueError(f"unknowns: expected {name} or {name}{TEXTURE}, got both")
 
 
 def _numbers(known: Material | None, materials: int) -> dict[str, np.ndarray]:

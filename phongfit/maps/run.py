@@ -4,14 +4,18 @@ import contextlib
 import dataclasses
 import functools
 import os
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, overload
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, Unpack, overload
 
 import numpy as np
 
 from phongfit.checks import untraced
 from phongfit.edge import checked, shown
-from phongfit.fitting.problem.losses import AbstractLoss
+from phongfit.fitting.problem.specification import (
+    Specification,
+    SpecificationOptions,
+    specified,
+)
 from phongfit.maps.blocks import Kept, block_size, fit_whole, kept_at
 from phongfit.maps.cluster import client_for, fit_apart
 from phongfit.maps.job import Fitted, Job, check_scenes, make_job
@@ -24,31 +28,35 @@ from phongfit.maps.strengths import find_strengths, may_be_equal, strength_error
 from phongfit.maps.tiles import Team, as_team, fit_job, tile_size, with_materials
 from phongfit.material import Material
 from phongfit.moved import warn_deprecated
-from phongfit.rendering.film import Film
 from phongfit.scene import Scene
 
 
 @overload
 def fit_maps(  # pyright: ignore[reportInconsistentOverload]
-    scenes: Sequence[Scene], images: Any, *, load: Literal[False], **options: Any
+    scenes: Sequence[Scene],
+    images: Any,
+    specification: Specification | None = None,
+    *,
+    load: Literal[False],
+    **options: Any,
 ) -> StoredMaps: ...
 @overload
 def fit_maps(
-    scenes: Sequence[Scene], images: Any, *, load: Literal[True] = True, **options: Any
+    scenes: Sequence[Scene],
+    images: Any,
+    specification: Specification | None = None,
+    *,
+    load: Literal[True] = True,
+    **options: Any,
 ) -> Maps: ...
 @checked
 def fit_maps(
     scenes: Sequence[Scene],
     images: Any,
+    specification: Specification | None = None,
     *,
-    unknowns: Sequence[str] = MAP_PARAMETERS,
-    per_channel: Sequence[str] = ("ambient", "diffuse", "specular"),
-    known: Material | None = None,
-    bounds: Mapping[str, tuple[float, float]] | None = None,
     mask: Any = None,
     noise: Any = None,
-    film: Film | Sequence[Film] | None = None,
-    loss: str | AbstractLoss | None = None,
     normals: Literal["given", "fit"] = "given",
     materials: int | Literal["auto"] | None = None,
     passes: int | None = None,
@@ -63,6 +71,7 @@ def fit_maps(
     client: Any = None,
     progress: bool = True,
     output: str | os.PathLike[str] | None = None,
+    **changes: Unpack[SpecificationOptions],
 ) -> Maps | StoredMaps:
     r"""Fit a material to every pixel of images under many lights, with standard errors.
 
@@ -100,6 +109,9 @@ def fit_maps(
         is part of the noise, which is estimated from each pixel's residuals: give no
         `noise` with such files. Light that compression removes from all images alike,
         as at the rim of a highlight, is not restored, unlike in [`fit`][].
+    - `specification`: `unknowns`, `per_channel`, `known`, `bounds`, `film` and `loss`,
+        for several calls. Those that are given beside it replace its own. Other options
+        of [`fit`][] must have their defaults.
     - `loss`: as in [`fit`][]; a robust loss is for images with outliers. Default:
         `"linear"`; `"cauchy"` if normals are fitted, since shadows and
         interreflections are outliers.
@@ -164,6 +176,10 @@ def fit_maps(
     the unknowns, a file or store that is missing or broken. `OSError` if `out` cannot
     be written, another run writes there, or the cluster is gone. Finished blocks stay.
     """
+    specification = _specified(specification, changes, normals == "fit")
+    unknowns, per_channel = specification.unknowns, specification.per_channel
+    known, bounds = specification.known, specification.bounds
+    film, loss = specification.film, specification.loss
     instead = "fit_maps is no function that JAX can trace"
     untraced(instead, scenes=scenes, images=images, known=known, mask=mask, noise=noise)
     if output is not None:
@@ -260,6 +276,18 @@ def _fit_normals(
     if strengths == "given":
         error = strength_error(maps, placed, job)
     return dataclasses.replace(maps, strengths=found, strength_error=error)
+
+
+def _specified(
+    specification: Specification | None, changes: SpecificationOptions, sought: bool
+) -> Specification:
+    """The options of a fit of maps; those that are `None` have their defaults."""
+    given = {name: value for name, value in changes.items() if value is not None}
+    usual = Specification(loss="cauchy" if sought else "linear")
+    specification = specified(specification, given, "fit outside", usual)
+    others = "per_image fixed ties priors uncertain max_steps tolerance"
+    specification.refuse(others, "fit_maps")
+    return specification
 
 
 def _fit_once(

@@ -13,6 +13,7 @@ import zarr
 
 import phongfit as pf
 from phongfit.cli import main
+from phongfit.fitting.problem.specification import Specification
 from tests.maps.pixel.scenes import hide
 
 SIDE = 16
@@ -61,7 +62,10 @@ def files_in(folder: Path) -> dict[Path, bytes]:
 
 @pytest.fixture
 def asked_of(monkeypatch, tmp_path) -> Callable[..., tuple[tuple, dict[str, Any]]]:
-    """Arguments that a command calls a function with, which is not called."""
+    """Arguments that a command calls a function with, which is not called.
+
+    A specification's options are among the keyword arguments.
+    """
 
     def asked(place: str, *words: object) -> tuple[tuple, dict[str, Any]]:
         heard = []
@@ -74,8 +78,11 @@ def asked_of(monkeypatch, tmp_path) -> Callable[..., tuple[tuple, dict[str, Any]
             patch.setattr(place, stop)
             patch.chdir(tmp_path)
             assert main([*map(str, words)]) == 130
-        (call,) = heard
-        return call
+        ((arguments, options),) = heard
+        if isinstance(arguments[-1], Specification):
+            *arguments, asked = arguments
+            options = asked.options | options
+        return tuple(arguments), options
 
     return asked
 

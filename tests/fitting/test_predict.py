@@ -1,7 +1,6 @@
 """What a fit could know, before it: against fits of noisy photographs."""
 
 import functools
-from typing import Any
 
 import numpy as np
 import pytest
@@ -143,8 +142,22 @@ def test_fewer_unknowns_are_known_better():
     assert tied.labels == ("ambient", "diffuse")
 
 
-@pytest.mark.parametrize("name", ["loss", "max_steps", "gloss", "known"])
-def test_options_that_are_none(name):
-    options: dict[str, Any] = {name: 1}
-    with pytest.raises(TypeError, match=name):
+@pytest.mark.parametrize(
+    "options, error, words",
+    [
+        ({"gloss": 1}, TypeError, "'gloss', expected one of scene, material"),
+        ({"known": TRUTH}, ValueError, "known: expected none"),
+        ({"loss": "tukey"}, ValueError, "loss: expected its default"),
+    ],
+)
+def test_options_that_are_refused(options, error, words):
+    with pytest.raises(error, match=words):
         pf.predict_errors(SCENE, TRUTH, NOISE, **options)
+
+
+def test_the_specification_of_a_fit():
+    asked = pf.Specification(known=pf.Material(), max_steps=3)
+    same = pf.predict_errors(SCENE, TRUTH, NOISE, asked)
+    np.testing.assert_array_equal(same.errors, predicted().errors)
+    fewer = pf.predict_errors(SCENE, TRUTH, NOISE, asked, unknowns=("diffuse",))
+    assert len(fewer.labels) == 3

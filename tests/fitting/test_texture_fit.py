@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import weakref
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,6 +28,8 @@ from tests.fitting.texels.scenes import (
     shiny,
 )
 from tests.helpers import near
+
+DIFFUSE = ("diffuse.texture",)
 
 
 def fitted(images, **options):
@@ -72,7 +75,7 @@ def test_texels_and_a_shared_highlight():
 def test_jpeg_files_are_said_to_err_alike():
     images = photographs(painted(diffuse=TRUE), matte())
     film = pf.Film(jpeg=pf.rendering.JpegCompression.at_quality(90))
-    fit = fitted(images, unknowns=(), film=film)
+    fit = fitted(images, unknowns=DIFFUSE, film=film)
     assert [pf.warning_code(words) for words in fit.warnings] == ["jpeg-texels"]
 
 
@@ -80,7 +83,8 @@ def test_jpeg_files_are_said_to_err_alike():
 def test_a_matte_surface_has_no_exponent(texel):
     images = photographs(painted(diffuse=TRUE), matte())
     shared = tuple(name for name in ("specular", "shininess") if name not in texel)
-    fit = fitted(images, textures=("diffuse", *texel), unknowns=shared)
+    textures = [f"{name}.texture" for name in ("diffuse", *texel)]
+    fit = fitted(images, unknowns=(*textures, *shared))
     assert "no-highlight" in map(pf.warning_code, fit.warnings)
     hidden = [one.label for one in fit.shared if not np.isfinite(one.stderr)]
     assert hidden == (["specular"] if "shininess" in texel else ["shininess"])
@@ -101,7 +105,7 @@ def test_images_without_noise():
 
 def test_texels_are_those_of_dense_least_squares():
     images = photographs(painted(diffuse=TRUE), matte())
-    fit = fitted(images, unknowns=(), noise=NOISE)
+    fit = fitted(images, unknowns=DIFFUSE, noise=NOISE)
     rows, light = [], []
     for scene, image in zip(scenes(), images, strict=True):
         buffer = scene.trace()
@@ -136,7 +140,7 @@ def test_two_textures_and_a_smoothness():
     strong = np.broadcast_to(smooth[:, None, None], (*SIZE, 1))
     truth = painted(diffuse=TRUE, specular=strong)
     images = photographs(truth, pf.Material(1.0, 1.0, 20.0, 0.0), 0.002)
-    options = {"textures": ("diffuse", "specular"), "unknowns": ("shininess",)}
+    options = {"unknowns": ("diffuse.texture", "specular.texture", "shininess")}
     fit = fitted(images, **options)
     errors = fit.stderr["specular"][0]
     known = np.isfinite(errors)
@@ -155,7 +159,7 @@ def test_texels_that_nothing_sees():
         scenes()[0],
         images[0],
         size=SIZE,
-        unknowns=(),
+        unknowns=DIFFUSE,
         known=matte(),
         mask=half,
     )
@@ -177,7 +181,7 @@ def test_each_material_has_its_own_texture():
     images = photographs(scenes(mesh), matte(), 0.0005)
     bare = scenes(mesh)
     fit = pf.fit_texture(
-        bare, images, size=SIZE, unknowns=(), known=matte(), separate=True
+        bare, images, size=SIZE, unknowns=DIFFUSE, known=matte(), separate=True
     )
     for layer, true in enumerate((TRUE, other)):
         known = np.isfinite(fit.stderr["diffuse"][layer])
@@ -263,7 +267,7 @@ def test_a_fit_starts_from_some_of_many_pixels(images, kept, monkeypatch):
 
 
 def test_a_wrong_model_is_said_to_be_wrong(images):
-    fit = fitted(images, unknowns=())
+    fit = fitted(images, unknowns=DIFFUSE)
     assert any("residuals are not noise" in words for words in fit.warnings)
     # Without light from elsewhere the ambient reflectance means nothing.
     dark = [dataclasses.replace(scene, ambient=0.0) for scene in scenes()]
@@ -271,7 +275,9 @@ def test_a_wrong_model_is_said_to_be_wrong(images):
         [dataclasses.replace(scene, ambient=0.0) for scene in painted(diffuse=TRUE)],
         matte(),
     )
-    fit = pf.fit_texture(dark, images, size=SIZE, unknowns=("ambient",), known=matte())
+    fit = pf.fit_texture(
+        dark, images, size=SIZE, unknowns=(*DIFFUSE, "ambient"), known=matte()
+    )
     assert all(np.isinf(one.stderr) for one in fit.shared)
     assert any("ambient.red, ambient.green" in words for words in fit.warnings)
 
@@ -279,10 +285,16 @@ def test_a_wrong_model_is_said_to_be_wrong(images):
 @pytest.mark.parametrize(
     "options, words",
     [
-        ({"textures": ()}, "textures: expected at least one"),
-        ({"textures": ("gloss",)}, "textures: expected some of ambient"),
-        ({"unknowns": ("diffuse",)}, "unknowns: diffuse has a texture"),
-        ({"unknowns": ("shininess", "shininess")}, "unknowns: expected each name once"),
+        ({"unknowns": ("gloss.texture",)}, "unknowns: expected some of ambient"),
+        ({"unknowns": (*DIFFUSE, "gloss")}, "unknowns: expected some of ambient"),
+        (
+            {"unknowns": (*DIFFUSE, "diffuse")},
+            "unknowns: expected diffuse or diffuse.t",
+        ),
+        ({"unknowns": (*DIFFUSE, *DIFFUSE)}, "unknowns: expected each name once"),
+        ({"specification": pf.Specification()}, "unknowns: expected a texture"),
+        ({"fixed": {"specular": 0.3}}, "fixed: expected its default in fit_texture"),
+        ({"loss": "tukey"}, "loss: expected its default in fit_texture"),
         ({"size": (0, 3)}, "size: expected rows and columns"),
         ({"smoothness": -1.0}, "smoothness: expected a number > 0"),
         ({"image": np.zeros((3, 3, 3))}, "image: expected shape"),
@@ -299,3 +311,37 @@ def test_a_surface_without_uv_is_refused():
     with pytest.raises(ValueError, match="scene: expected a Mesh with uv"):
         scene = pf.Scene(pf.Sphere(), camera_at(0, 0, 4))
         pf.fit_texture(scene, np.zeros((32, 32, 3)), size=SIZE)
+
+
+@pytest.mark.parametrize(
+    "older, unknowns",
+    [
+        ({"unknowns": ("specular",)}, (*DIFFUSE, "specular")),
+        ({"unknowns": ()}, DIFFUSE),
+        ({"textures": ("specular",), "unknowns": ()}, ("specular.texture",)),
+        ({"textures": ("specular",)}, ("specular.texture", "specular", "shininess")),
+    ],
+)
+def test_names_of_textures_without_the_suffix_are_deprecated(older, unknowns, images):
+    def outcome(**options) -> Any:
+        try:
+            return fitted(images, **options).values
+        except ValueError as error:
+            return str(error)
+
+    with pytest.warns(DeprecationWarning, match=r"textures: write unknowns=\('diff"):
+        before = outcome(**older)
+    now = outcome(unknowns=unknowns)
+    assert before == now if isinstance(now, str) else before.keys() == now.keys()
+
+
+def test_a_specification_and_a_change(images, kept):
+    asked = pf.Specification(
+        unknowns=("diffuse.texture", "specular", "shininess"),
+        per_channel=(),
+        known=pf.Material(ambient=0.0, shininess=20.0),
+        max_steps=1,
+    )
+    assert not pf.fit_texture(scenes(), images, asked, size=SIZE).converged
+    again = pf.fit_texture(scenes(), images, asked, size=SIZE, max_steps=20)
+    near(again.values["diffuse"], kept.values["diffuse"], 0)

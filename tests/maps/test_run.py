@@ -38,6 +38,16 @@ def test_truth_lies_within_the_errors(stack, maps):
     assert np.median(maps.chi_squared) == pytest.approx(1, rel=0.05)
 
 
+def test_a_specification_and_what_maps_have_no_use_for(stack, maps):
+    asked = pf.Specification(film=FREE)
+    again = pf.fit_maps(stack.scenes, stack.images, asked, tile_pixels=4096)
+    np.testing.assert_array_equal(again.diffuse, maps.diffuse)
+    with pytest.raises(ValueError, match="fixed: expected its default in fit_maps"):
+        pf.fit_maps(stack.scenes, stack.images, asked, fixed={"diffuse": 0.5})
+    with pytest.raises(TypeError, match="'unknown', expected one of scenes, images"):
+        pf.fit_maps(stack.scenes, stack.images, unknown=())  # pyright: ignore
+
+
 @pytest.mark.extended
 def test_under_a_sky_as_well(stack):
     """Known light from all around: it makes no sample lit, and no normal known."""

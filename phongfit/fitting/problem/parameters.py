@@ -180,11 +180,7 @@ def parameter(
         scale: Form = "logarithm" if name == "shininess" else "plain"
         return Parameter(name, _rows(materials), rgb, scale)
     if name.endswith(TEXTURE):
-        texture = name.removesuffix(TEXTURE)
-        raise ValueError(
-            f"unknowns: texels are found by fit_texture(..., textures=({texture!r},)), "
-            f"got {name!r}"
-        )
+        raise ValueError(f"unknowns: texels are fitted by fit_texture, got {name!r}")
     value = scene_arrays(scenes[0])[name] if is_known(name, scenes) else None
     if value is None or name.startswith("scene.background"):
         raise ValueError(f"unknowns: expected one of {_choice(scenes)}, got {name!r}")

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import jax.numpy as jnp
 import numpy as np
@@ -22,7 +22,11 @@ from phongfit.fitting.problem.noise import find_film, rounding_steps
 from phongfit.fitting.problem.problem import Problem
 from phongfit.fitting.problem.samples import Source, gather, seen_pixels
 from phongfit.fitting.problem.shapes import check_shape
-from phongfit.fitting.problem.specification import Specification
+from phongfit.fitting.problem.specification import (
+    Specification,
+    SpecificationOptions,
+    specified,
+)
 from phongfit.fitting.problem.unknowns import Unknowns
 from phongfit.geometry.surfaces import GBuffer
 from phongfit.rendering.film import Film, as_films
@@ -38,10 +42,11 @@ def make_problem(
     scene: Scene | Sequence[Scene],
     image: Any,
     noise: Any,
+    specification: Specification | None = None,
     *,
     mask: Any = None,
     weights: Any = None,
-    **options: Any,
+    **options: Unpack[SpecificationOptions],
 ) -> Problem:
     """The problem that [`fit`][] solves, for your own samplers and solvers.
 
@@ -56,25 +61,17 @@ def make_problem(
 
     - `scene`, `image`, `mask`, `weights`: as for [`fit`][].
     - `noise`: standard deviation in linear light, a number or as `weights`.
-    - `options`: those of a [`Specification`][].
+    - `specification`, and options beside it: as for [`fit`][].
 
     **Raises:** `ValueError` that names the argument; `TypeError` for an unknown option.
     """
     if noise is None:
         raise ValueError("noise: expected a standard deviation, got None")
-    untraced(
-        "make the problem outside of what JAX traces; its functions can be traced",
-        scene=scene,
-        image=image,
-        noise=noise,
-        mask=mask,
-        weights=weights,
-        **options,
-    )
-    specification = Specification.checked("make_problem", options)
-    setting = set_up(
-        specification, scene, image, mask=mask, weights=weights, noise=noise
-    )
+    instead = "make the problem outside of what JAX traces; its functions can be traced"
+    data = {"mask": mask, "weights": weights, "noise": noise}
+    untraced(instead, scene=scene, image=image, **data)
+    specification = specified(specification, options, instead)
+    setting = set_up(specification, scene, image, **data)
     samples = gather(setting.sources, seen_pixels(setting.sources))
     sigma = jnp.ones((), samples.target.dtype)
     return Problem(
@@ -83,6 +80,7 @@ def make_problem(
         sigma,
         specification.loss,
         setting.films[0].clamp,
+        tolerance=specification.tolerance,
     )
 
 

@@ -21,7 +21,7 @@ class Problem(eqx.Module):
     """The samples, unknowns, noise level and loss of a fit.
 
     `scatter` is the covariance of the scores, divided by the roots of the diagonal of
-    JᵀJ, if samples are not independent.
+    JᵀJ, if samples are not independent. `tolerance` is that of [`fit`][].
     """
 
     samples: Samples
@@ -30,6 +30,7 @@ class Problem(eqx.Module):
     loss: AbstractLoss
     clamp: bool = eqx.field(static=True)
     scatter: Float[Array, "n n"] | None = None
+    tolerance: float | None = eqx.field(static=True, default=None)
 
     def noise(self) -> Float[Array, "3 n"]:
         """Standard deviation of each sample before rounding, also of those left out."""

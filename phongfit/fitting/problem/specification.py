@@ -2,10 +2,11 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
+from phongfit.checks import untraced
 from phongfit.edge import checked
 from phongfit.fitting.problem.losses import AbstractLoss, as_loss
 from phongfit.fitting.problem.parameters import (
@@ -23,6 +24,24 @@ DEFAULT_PER_CHANNEL = ("ambient", "diffuse", "specular")
 Tie = str | tuple[float, str]
 # Keys are a name, or several names of arrays with correlated errors.
 Uncertain = Mapping[Any, Any]
+
+
+class SpecificationOptions(TypedDict, total=False):
+    """The options of a fit as they may be written: see [`fit`][]."""
+
+    unknowns: Sequence[str] | None
+    per_channel: Sequence[str] | None
+    per_image: Sequence[str] | None
+    known: Material | None
+    bounds: Mapping[str, tuple[float, float]] | None
+    fixed: Mapping[str, Any] | None
+    ties: Mapping[str, Tie] | None
+    priors: Mapping[str, tuple[Any, float]] | None
+    uncertain: Uncertain | None
+    film: Film | Sequence[Film] | None
+    loss: str | AbstractLoss
+    max_steps: int
+    tolerance: float | None
 
 
 @dataclasses.dataclass(frozen=True, init=False)
@@ -46,82 +65,63 @@ class Specification:
     film: Film | tuple[Film, ...] | None
     loss: AbstractLoss
     max_steps: int
+    # Files of older versions have none.
+    tolerance: float | None = None
 
     @checked
-    def __init__(
-        self,
-        *,
-        unknowns: Sequence[str] | None = DEFAULT_UNKNOWNS,
-        per_channel: Sequence[str] | None = DEFAULT_PER_CHANNEL,
-        per_image: Sequence[str] | None = (),
-        known: Material | None = None,
-        bounds: Mapping[str, tuple[float, float]] | None = None,
-        fixed: Mapping[str, Any] | None = None,
-        ties: Mapping[str, Tie] | None = None,
-        priors: Mapping[str, tuple[Any, float]] | None = None,
-        uncertain: Uncertain | None = None,
-        film: Film | Sequence[Film] | None = None,
-        loss: str | AbstractLoss = "linear",
-        max_steps: int = 200,
-    ):
+    def __init__(self, **options: Unpack[SpecificationOptions]):
         """**Arguments:** those of [`fit`][] except the data: `scene`, `image`, `mask`,
         `weights`, `noise`.
 
-        **Raises:** `ValueError` that names the argument.
+        **Raises:** `ValueError` that names the argument; `TypeError` for an unknown
+        option.
         """
-        if not isinstance(max_steps, int) or not 0 < max_steps < 2**31:
+        given: dict[str, Any] = {**_DEFAULTS, **options}
+        steps, film = given["max_steps"], given["film"]
+        if not isinstance(steps, int) or not 0 < steps < 2**31:
             raise ValueError(
                 f"max_steps: expected a whole number from 1 to {2**31 - 1}, got "
-                f"{max_steps!r}"
+                f"{steps!r}"
             )
-        ties = {} if ties is None else ties
-        whole = {k: (1.0, v) if isinstance(v, str) else v for k, v in ties.items()}
-        fields = {
-            "unknowns": _names("unknowns", unknowns),
-            "per_channel": _names("per_channel", per_channel),
-            "per_image": _names("per_image", per_image),
-            "known": known,
-            "bounds": _comparable(bounds or {}),
-            "fixed": _comparable(fixed or {}),
-            "ties": _comparable(whole),
-            "priors": _comparable(priors or {}),
-            "uncertain": _comparable(uncertain or {}),
-            "film": film if isinstance(film, Film) or film is None else tuple(film),
-            "loss": as_loss(loss),
-            "max_steps": max_steps,
-        }
-        for name, value in fields.items():
+        tolerance = given["tolerance"]
+        if tolerance is not None and not 0 < tolerance < 1:
+            raise ValueError(f"tolerance: expected a number in (0, 1), got {tolerance}")
+        for name in ("unknowns", "per_channel", "per_image"):
+            given[name] = _names(name, given[name])
+        for name in ("bounds", "fixed", "ties", "priors", "uncertain"):
+            given[name] = _comparable(given[name] or {})
+        ties = given["ties"].items()
+        given["ties"] = {k: (1.0, v) if isinstance(v, str) else v for k, v in ties}
+        given["film"] = film if isinstance(film, Film | None) else tuple(film)
+        given["loss"] = as_loss(given["loss"])
+        for name, value in given.items():
             object.__setattr__(self, name, value)
         self._check_names()
 
-    @classmethod
-    def checked(
-        cls,
-        function: str,
-        options: Mapping[str, Any],
-        others: Sequence[str] = (),
-        **given: Any,
-    ) -> "Specification":
-        """A specification from a function's options and values that it sets itself.
-
-        **Arguments:** `others`: further options of the function, for the message.
-
-        **Raises:** `TypeError` that names an unknown option.
-        """
-        fields = (field.name for field in dataclasses.fields(cls))
-        allowed = [name for name in fields if name not in given]
-        for name in options:
-            if name not in allowed:
-                raise TypeError(
-                    f"{function}: got an unexpected option {name!r}, expected one of "
-                    f"{', '.join((*allowed, *others))}"
-                )
-        return cls(**given, **options)
-
     @property
     def options(self) -> dict[str, Any]:
-        """All options as keyword arguments of [`fit`][]."""
+        """All options, as keyword arguments of [`fit`][]."""
         return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+
+    def to_dict(self) -> dict[str, Any]:
+        """All options as types that `json.dumps` accepts, for `from_dict`.
+
+        **Raises:** `ValueError` that names an option that JSON cannot hold: a loss that
+        has no name, or `known` with a row for each material.
+        """
+        from phongfit.files.fits import describe_specification
+
+        return describe_specification(self)
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> "Specification":
+        """The specification that `to_dict` wrote; options that are left out are usual.
+
+        **Raises:** `ValueError` that names the option.
+        """
+        from phongfit.files.fits import read_specification
+
+        return read_specification(data)
 
     @property
     def uncertain_arrays(self) -> tuple[str, ...]:
@@ -154,14 +154,23 @@ class Specification:
 
     @property
     def asks_as_usual(self) -> bool:
-        """Whether all options but `film`, `loss` and `max_steps` are the defaults."""
-        return not self.changed.keys() - {"film", "loss", "max_steps"}
+        """Whether all options that concern the unknowns are the defaults."""
+        return not self.changed.keys() - {"film", "loss", "max_steps", "tolerance"}
 
     @property
     def changed(self) -> dict[str, Any]:
         """Options that differ from the defaults."""
         given = self.options.items()
         return {name: v for name, v in given if v != getattr(_USUAL, name)}
+
+    def refuse(self, names: str, function: str) -> None:
+        """Raise `ValueError` that names an option of `names` that is not the default.
+
+        **Arguments:** `names`: separated by spaces; `function`: has no use for them.
+        """
+        for name in names.split():
+            if name in self.changed:
+                raise ValueError(f"{name}: expected its default in {function}")
 
 
 def as_names(key: Any) -> tuple[str, ...]:
@@ -190,4 +199,37 @@ def _comparable(value: Any) -> Any:
     return _comparable(np.asarray(value).tolist()) if hasattr(value, "dtype") else value
 
 
+_DEFAULTS: SpecificationOptions = {
+    "unknowns": DEFAULT_UNKNOWNS,
+    "per_channel": DEFAULT_PER_CHANNEL,
+    "per_image": (),
+    "known": None,
+    "bounds": None,
+    "fixed": None,
+    "ties": None,
+    "priors": None,
+    "uncertain": None,
+    "film": None,
+    "loss": "linear",
+    "max_steps": 200,
+    "tolerance": None,
+}
 _USUAL = Specification()
+
+
+def specified(
+    specification: Specification | None,
+    options: Mapping[str, Any],
+    instead: str,
+    default: Specification = _USUAL,
+) -> Specification:
+    """A specification, or the default one, with some options changed.
+
+    **Arguments:** `instead`: see [`untraced`][].
+
+    **Raises:** `ValueError` that names an option, also if it is traced.
+    """
+    chosen = {**(specification or default).options, **options}
+    lists = {k: [*v.values()] for k, v in chosen.items() if isinstance(v, Mapping)}
+    untraced(instead, **chosen | lists)
+    return Specification(**chosen)

@@ -46,6 +46,7 @@ def find_minimum(data: FitData) -> Minimum:
         data.films[0].clamp,
         *how,
         guesses,
+        asked.tolerance,
     )
     found, sources, at_edges = keep_off_edges(first, sources, seen, *how)
     drawn = None

@@ -99,6 +99,7 @@ def search(
     noise_given: bool,
     max_steps: int,
     guesses: Guesses | None = None,
+    tolerance: float | None = None,
 ) -> SearchResult:
     """Minimise the cost, without a starting guess of the material.
 
@@ -110,13 +111,14 @@ def search(
     - `few`: some of the samples, if these are enough for a first pass.
     - `gather`: returns all samples; called while JAX computes the first pass.
     - `guesses`: see [`guess_places`][].
+    - `tolerance`: see [`fit`][].
     """
     first = gather() if few is None else few
     y = unknowns.start
     # With a tiny noise level values are clipped sharply, as the noise is unknown yet.
     level = 1.0 if noise_given else float(np.finfo(y.dtype).eps)
     sigma = jnp.asarray(level, y.dtype)
-    problem = Problem(first, unknowns, sigma, loss, clamp)
+    problem = Problem(first, unknowns, sigma, loss, clamp, None, tolerance)
     several = not set(unknowns.sought) <= set(MATERIAL_PARAMETERS)
     ways = [(problem, y)]
     if several:
@@ -131,7 +133,7 @@ def search(
             states = [_settle(problem, states[0], max_steps, noise_given, True)]
     ends = [
         _end(
-            Problem(samples, here.unknowns, sigma, loss, clamp),
+            Problem(samples, here.unknowns, sigma, loss, clamp, None, tolerance),
             state,
             max_steps,
             noise_given,
@@ -180,7 +182,7 @@ def search_on(
     """Continue a search with other weights of the same samples."""
     old = found.problem
     state = _first_state(found.y, old.sigma)._replace(steps=found.steps)
-    problem = Problem(samples, old.unknowns, old.sigma, old.loss, old.clamp)
+    problem = _posed_anew(old, samples, old.sigma)
     return _end(problem, state, max_steps, noise_given)
 
 
@@ -194,10 +196,16 @@ def _end(
     y, sigma, converged, steps = _settle(
         problem, state, max_steps, noise_given, near=near
     )
-    samples, unknowns = problem.samples, problem.unknowns
-    # Made explicitly, since `dataclasses.replace` of a module takes long.
-    problem = Problem(samples, unknowns, sigma, problem.loss, problem.clamp)
+    problem = _posed_anew(problem, problem.samples, sigma)
     return SearchResult(problem, y, converged, steps)
+
+
+def _posed_anew(old: Problem, samples: Samples, sigma: Float[Array, ""]) -> Problem:
+    """A problem with other samples and noise level, and without `scatter`."""
+    # Made explicitly, since `dataclasses.replace` of a module takes long.
+    return Problem(
+        samples, old.unknowns, sigma, old.loss, old.clamp, None, old.tolerance
+    )
 
 
 def _best_of_several(

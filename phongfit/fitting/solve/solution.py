@@ -141,11 +141,12 @@ def make_solver(
     dtype: Any,
     coarse: Float[Array, ""] | float = 0.0,
 ) -> BoundedLevenbergMarquardt:
-    """The solver for a problem's box, as exact as the number type allows.
+    """The solver for a problem's box, by default as exact as the number type allows.
 
     **Arguments:** `coarse`: a larger tolerance that is enough.
     """
-    tolerance = jnp.maximum(coarse, _tolerance(dtype))
+    exact = _tolerance(dtype) if problem.tolerance is None else problem.tolerance
+    tolerance = jnp.maximum(coarse, exact)
     return BoundedLevenbergMarquardt(
         rtol=tolerance,
         atol=tolerance,

@@ -74,5 +74,5 @@ def test_priors_are_normal():
 def test_it_asks_for_the_noise_and_for_options_that_there_are():
     with pytest.raises(ValueError, match="^noise: expected a standard deviation"):
         pf.make_problem(SCENE, IMAGE, None)
-    with pytest.raises(TypeError, match="make_problem: .*'unknown'"):
+    with pytest.raises(TypeError, match="make_problem.*'unknown'"):
         pf.make_problem(SCENE, IMAGE, NOISE, unknown=["diffuse"])

@@ -1,4 +1,5 @@
 import dataclasses
+import json
 
 import jax.numpy as jnp
 import numpy as np
@@ -40,6 +41,52 @@ def test_two_of_the_same_are_equal_however_they_were_written():
     assert Specification(**asked.changed) == asked
 
 
+MORE = {
+    "per_image": ["scene.lights[0].intensity"],
+    "unknowns": ["diffuse", "scene.lights[0].intensity"],
+    "bounds": {"diffuse": (0, np.inf)},
+    "uncertain": {
+        "scene.lights[0].direction": 0.01,
+        ("scene.lights[1].position", "scene.lights[1].attenuation"): np.eye(6) / 8,
+    },
+    "film": pf.Film(
+        encoding=pf.ResponseCurve((0, 0.2, 1)),
+        jpeg=pf.rendering.JpegCompression.at_quality(80),
+    ),
+    "loss": pf.Huber(),
+    "max_steps": 7,
+    "tolerance": 1e-5,
+}
+
+
+@pytest.mark.parametrize("options", [{}, OPTIONS, MORE])
+def test_it_is_written_and_read_as_json(options):
+    asked = Specification(**options)
+    assert Specification.from_dict(json.loads(json.dumps(asked.to_dict()))) == asked
+
+
+@pytest.mark.parametrize(
+    "data, words",
+    [
+        ({"unknown": []}, "\"unknown\" is no key of it; did you mean 'unknowns'"),
+        ({"max_steps": "x"}, 'max_steps: expected a valid integer, got "x"'),
+        ({"film": {"bits": 99}}, "film: bits: expected None or 1 … 16, got 99"),
+        ({"loss": "square"}, "loss: expected 'linear', .*, got \"square\""),
+        (3, "the file: expected"),
+    ],
+)
+def test_json_that_it_is_not(data, words):
+    with pytest.raises(ValueError, match=words):
+        Specification.from_dict(data)
+
+
+def test_what_json_cannot_hold():
+    with pytest.raises(ValueError, match="loss: expected one of .*, got Huber"):
+        Specification(loss=pf.Huber(3.0)).to_dict()
+    with pytest.raises(ValueError, match="known: diffuse: expected shape"):
+        Specification(known=pf.Material(np.ones((2, 3)))).to_dict()
+
+
 @pytest.mark.parametrize("name", OPTIONS)
 def test_each_of_them_counts(name):
     options = {name: OPTIONS[name]}
@@ -79,6 +126,8 @@ def test_it_stays_as_it_is():
         ),
         ({"per_image": ("diffuse",)}, "per_image: expected an array of.*got 'diffuse'"),
         ({"loss": "square"}, "loss: expected .*, got 'square'"),
+        ({"tolerance": 0.0}, "tolerance: expected a number in .*, got 0.0"),
+        ({"tolerance": "x"}, "tolerance: expected a number or None, got 'x'"),
     ],
 )
 def test_errors_name_the_argument(options, words):
@@ -92,13 +141,27 @@ def test_a_fit_knows_what_it_was_asked():
     asked = Specification(bounds={"shininess": (2, 90)}, known=TRUTH, loss="linear")
     fit = pf.fit(scene, image, **asked.changed)
     assert fit.specification == asked
+    again = pf.fit(scene, image, asked)
+    assert again.specification == asked and again.labels == fit.labels
+    np.testing.assert_array_equal(again.values, fit.values)
+    # A coarser solution takes fewer steps, and is within the errors.
+    coarse = pf.fit(scene, image, asked, tolerance=0.01)
+    assert coarse.converged and coarse.steps < fit.steps
+    assert coarse.problem.tolerance == 0.01
+    # An option beside it replaces its own.
+    fewer = pf.fit(scene, image, asked, unknowns=("diffuse",))
+    assert fewer.specification == dataclasses.replace(asked, unknowns=("diffuse",))
     # And is itself, whatever it is compared with.
     assert fit == fit and fit != asked and len({fit}) == 1
     assert fit.films == (pf.Film(),) and fit.loss == "Linear"
 
 
 def test_a_misspelt_option_is_named():
-    with pytest.raises(TypeError, match="predict_errors: .*'unknown', expected one of"):
+    with pytest.raises(TypeError, match="predict_errors.*'unknown', expected one of"):
         pf.predict_errors(ball(), TRUTH, 0.01, unknown=("diffuse",))
     with pytest.raises(TypeError, match="'unknown'"):
         pf.fit(ball(), np.zeros((32, 32, 3)), unknown=())  # pyright: ignore
+    with pytest.raises(TypeError, match="'unknown'"):
+        Specification(unknown=())  # pyright: ignore
+    with pytest.raises(ValueError, match="specification: expected a Specification"):
+        pf.fit(ball(), np.zeros((32, 32, 3)), {"unknowns": ()})  # pyright: ignore

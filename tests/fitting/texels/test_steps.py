@@ -35,7 +35,7 @@ def bare() -> pf.Material:
 def fitted(count: int = 12, noise: float = 0.01, **options) -> TextureFit:
     truth = painted(count, diffuse=DIFFUSE, specular=SPECULAR, shininess=EXPONENT)
     images = photographs(truth, unit(), noise)
-    given = {"textures": ALL, "unknowns": (), "known": bare()}
+    given = {"unknowns": [f"{name}.texture" for name in ALL], "known": bare()}
     return pf.fit_texture(scenes(count), images, size=SIZE, **(given | options))
 
 
@@ -189,8 +189,7 @@ def test_exponents_alone_beside_numbers_of_each_material():
         scenes(4),
         images,
         size=SIZE,
-        textures=("shininess",),
-        unknowns=("diffuse", "specular"),
+        unknowns=("shininess.texture", "diffuse", "specular"),
         per_channel=("diffuse",),
         known=bare(),
     )
@@ -212,8 +211,7 @@ def test_exponents_of_each_material():
         scenes(4, plate(material_index=[0, 1])),
         images,
         size=SIZE,
-        textures=("shininess",),
-        unknowns=(),
+        unknowns=("shininess.texture",),
         known=pf.Material(0.3, 0.4, 32.0, 0.0),
         separate=True,
     )
@@ -229,8 +227,9 @@ def test_what_exponents_do_not_go_with():
     shaded = [
         dataclasses.replace(scene, shading=pf.GouraudShading()) for scene in scenes(2)
     ]
-    given = {"size": SIZE, "textures": ("shininess",), "known": bare()}
+    names = ("shininess.texture",)
+    given = {"size": SIZE, "known": bare()}
     with pytest.raises(ValueError, match="exponent needs Phong shading, got Gouraud"):
-        pf.fit_texture(shaded, images, unknowns=(), **given)
-    with pytest.raises(ValueError, match="unknowns: shininess has a texture"):
-        pf.fit_texture(scenes(2), images, unknowns=("shininess",), **given)
+        pf.fit_texture(shaded, images, unknowns=names, **given)
+    with pytest.raises(ValueError, match="unknowns: expected shininess or sh"):
+        pf.fit_texture(scenes(2), images, unknowns=(*names, "shininess"), **given)

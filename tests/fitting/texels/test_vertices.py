@@ -168,7 +168,7 @@ def test_numbers_at_vertices_and_a_shared_highlight(images, tmp_path):
 
 def test_vertices_that_nothing_sees(images):
     """One photograph: the far side is marked, and filled for others alone."""
-    fit = fitted(scenes()[0], images[0], unknowns=())
+    fit = fitted(scenes()[0], images[0], unknowns=("diffuse.texture",))
     errors, seen = fit.stderr["diffuse"][0], fit.seen[0]
     far = np.asarray(BALL.vertices)[:, 2] < -0.2
     assert (seen[far] == 0).all() and np.isinf(errors[seen == 0]).all()
@@ -193,7 +193,7 @@ def test_exponents_of_vertices_by_way_of_files(tmp_path):
     bare = [dataclasses.replace(one, surface=ball.bare()) for one in views]
     light = photographs(views, pf.Material(1.0, 1.0, 1.0, 0.0), 0.0)
     names = ("diffuse", "specular", "shininess")
-    fit = fitted(bare, light, textures=names, unknowns=())
+    fit = fitted(bare, light, unknowns=[f"{name}.texture" for name in names])
     errors = fit.stderr["shininess"][0]
     assert errors.shape == f.shape and np.isfinite(errors).mean() > 0.5
     data = DataRecord(name="ball", reading=DataSettings(), inputs={})
