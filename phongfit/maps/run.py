@@ -281,10 +281,9 @@ def _fit_normals(
 def _specified(
     specification: Specification | None, changes: SpecificationOptions, sought: bool
 ) -> Specification:
-    """The options of a fit of maps; those that are `None` have their defaults."""
-    given = {name: value for name, value in changes.items() if value is not None}
+    """The options of a fit of maps."""
     usual = Specification(loss="cauchy" if sought else "linear")
-    specification = specified(specification, given, "fit outside", usual)
+    specification = specified(specification, changes, "fit outside", usual)
     others = "per_image fixed ties priors uncertain max_steps tolerance"
     specification.refuse(others, "fit_maps")
     return specification

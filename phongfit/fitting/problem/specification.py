@@ -36,10 +36,10 @@ class SpecificationOptions(TypedDict, total=False):
     bounds: Mapping[str, tuple[float, float]] | None
     fixed: Mapping[str, Any] | None
     ties: Mapping[str, Tie] | None
-    priors: Mapping[str, tuple[Any, float]] | None
+    priors: Mapping[str, tuple[Any, Any]] | None
     uncertain: Uncertain | None
     film: Film | Sequence[Film] | None
-    loss: str | AbstractLoss
+    loss: str | AbstractLoss | None
     max_steps: int
     tolerance: float | None
 
@@ -60,7 +60,7 @@ class Specification:
     bounds: Mapping[str, tuple[float, float]]
     fixed: Mapping[str, Any]
     ties: Mapping[str, tuple[float, str]]
-    priors: Mapping[str, tuple[Any, float]]
+    priors: Mapping[str, tuple[Any, Any]]
     uncertain: Uncertain
     film: Film | tuple[Film, ...] | None
     loss: AbstractLoss
@@ -86,6 +86,8 @@ class Specification:
         tolerance = given["tolerance"]
         if tolerance is not None and not 0 < tolerance < 1:
             raise ValueError(f"tolerance: expected a number in (0, 1), got {tolerance}")
+        # A static field of the problem, which an array cannot be.
+        given["tolerance"] = None if tolerance is None else float(tolerance)
         for name in ("unknowns", "per_channel", "per_image"):
             given[name] = _names(name, given[name])
         for name in ("bounds", "fixed", "ties", "priors", "uncertain"):
@@ -93,7 +95,8 @@ class Specification:
         ties = given["ties"].items()
         given["ties"] = {k: (1.0, v) if isinstance(v, str) else v for k, v in ties}
         given["film"] = film if isinstance(film, Film | None) else tuple(film)
-        given["loss"] = as_loss(given["loss"])
+        loss = given["loss"]
+        given["loss"] = as_loss(_DEFAULTS["loss"] if loss is None else loss)
         for name, value in given.items():
             object.__setattr__(self, name, value)
         self._check_names()
@@ -223,13 +226,20 @@ def specified(
     instead: str,
     default: Specification = _USUAL,
 ) -> Specification:
-    """A specification, or the default one, with some options changed.
+    """A function's options: `options`, what a specification changes, and the default.
 
-    **Arguments:** `instead`: see [`untraced`][].
+    **Arguments:**
+
+    - `options`: those given beside the specification; a loss of `None` is none.
+    - `instead`: see [`untraced`][].
+    - `default`: the function's own defaults.
 
     **Raises:** `ValueError` that names an option, also if it is traced.
     """
+    options = {k: v for k, v in options.items() if k != "loss" or v is not None}
     chosen = {**(specification or default).options, **options}
     lists = {k: [*v.values()] for k, v in chosen.items() if isinstance(v, Mapping)}
     untraced(instead, **chosen | lists)
+    if specification is not None:
+        chosen = {**default.options, **specification.changed, **options}
     return Specification(**chosen)
