@@ -1,6 +1,7 @@
 """`phongfit maps`: photographs under many lights in, maps of the material out."""
 
 import contextlib
+import dataclasses
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,19 +28,11 @@ from phongfit.files.inputs import naming
 from phongfit.files.materials import read_material
 from phongfit.files.outputs import OVERWRITE, replacing, replacing_folder
 from phongfit.files.schema import describe_material
-from phongfit.files.zarrs import (
-    address,
-    attributes,
-    erase,
-    is_remote,
-    is_store,
-    open_group,
-)
+from phongfit.files.zarrs import address, is_store
 from phongfit.fitting.fit import fit
 from phongfit.fitting.problem.parameters import EXPOSURE
 from phongfit.geometry.cameras import OrthographicCamera
 from phongfit.lights import DirectionalLight
-from phongfit.maps.blocks import source_of
 from phongfit.maps.cluster import dashboard, dask_client
 from phongfit.maps.folder import (
     ARRAYS_FILE,
@@ -49,12 +42,13 @@ from phongfit.maps.folder import (
     MapOptions,
     save_folder,
 )
+from phongfit.maps.job import casts_shadows, is_plane, over
 from phongfit.maps.passes import usual_passes
 from phongfit.maps.result import MAP_PARAMETERS, Maps, StrengthsName
 from phongfit.maps.run import fit_maps
-from phongfit.maps.stacks import AbstractStack, DatasetStack
-from phongfit.maps.store import check_place
-from phongfit.maps.stored import STORE_FORMAT, StoredMaps
+from phongfit.maps.stacks import DatasetStack
+from phongfit.maps.store import Anew
+from phongfit.maps.stored import StoredMaps
 from phongfit.maps.view_angle import check_fov, fit_fov, seen_over
 from phongfit.material import Material
 from phongfit.plain import plain
@@ -220,28 +214,50 @@ def _fit(
     **Returns:** maps, data, and notes for the user.
     """
     stored = is_store(options.data.dataset) or is_store(options.out)
-    whole = given["passes"], given["strengths"], given["materials"]
-    load = not stored or (*whole, options.tile_pixels) != (1, "given", None, None)
+    whole = _needing_all(options, given)
+    load = not stored or bool(whole)
+    if whole and options.dask is not None:
+        raise ValueError(
+            f"dask: expected it without {' and '.join(whole)}, which one process fits "
+            "with all images in memory"
+        )
     if is_store(options.data.dataset):
         read, stack = read_stored(options.data), None
     else:
         read, stack = _read_photographs(options, given, stored)
+    # Without a cluster, shadows that blocks cast on others need all at once.
+    load = load or (options.dask is None and casts_shadows(read.scenes))
     if stored and (load or not is_store(options.out)):
         check_room(read)
-    if is_store(options.out) and options.overwrite:
-        erase_maps(out, read.stack)
-    with _resumable(options), contextlib.ExitStack() as place:
+    if load and is_plane(surface := read.scenes[0].surface):
+        plane = over(surface, read.stack.shape[1:])
+        lit = (dataclasses.replace(scene, surface=plane) for scene in read.scenes)
+        read = read._replace(scenes=tuple(lit))
+    renewed = is_store(options.out) and options.overwrite
+    with _resumable(options), contextlib.ExitStack() as cluster:
         client = None
         if options.dask is not None:
-            client = place.enter_context(dask_client(options.dask))
+            client = cluster.enter_context(dask_client(options.dask))
             page = dashboard(client)
             if page is not None:
                 print(f"dask: {page}", flush=True)
         more = given | {"load": load, "tile_pixels": options.tile_pixels}
         more |= read.arguments
-        found = fit_maps(read.scenes, read.stack, out=out, client=client, **more)
+        place = Anew(out) if renewed else out
+        found = fit_maps(read.scenes, read.stack, out=place, client=client, **more)
     notes = [] if stack is None or not load else _notes(options, stack, given, found)
     return found, read, notes
+
+
+def _needing_all(options: Options, given: dict[str, Any]) -> list[str]:
+    """The options that need images and maps whole in memory, as they were asked for."""
+    asked = {
+        "--passes": given["passes"] != 1,
+        "--strengths": given["strengths"] != "given",
+        "--materials": given["materials"] is not None,
+        "--tile-pixels": options.tile_pixels is not None,
+    }
+    return [name for name, needed in asked.items() if needed]
 
 
 def _read_photographs(
@@ -288,20 +304,6 @@ def check_room(read: Input) -> None:
     with naming("out"):
         # A zarr store would not need this memory.
         afford(PIXEL * height * width, f"maps of {height} × {width} pixels")
-
-
-def erase_maps(output: str, images: AbstractStack) -> None:
-    """Remove older maps, and nothing else.
-
-    **Raises:** `OSError` that names an existing store that has no maps.
-    """
-    if not is_remote(output):
-        check_place(output, source_of(images))
-        if not Path(output).exists() or not any(Path(output).iterdir()):
-            return
-    if attributes(open_group(output)).get("format") != STORE_FORMAT:
-        raise OSError(f"{output}: is not replaced, since it holds no maps")
-    erase(output)
 
 
 def _with_fitted_fov(

@@ -27,7 +27,7 @@ from phongfit.maps.blocks import (
     make_blocks,
     make_place,
 )
-from phongfit.maps.job import Job
+from phongfit.maps.job import Job, casts_shadows, is_plane
 from phongfit.maps.stacks import AbstractStack, ZarrStack
 from phongfit.maps.stored import StoredMaps, complete
 from phongfit.maps.tiles import as_team, bar
@@ -56,12 +56,6 @@ def fit_apart(job: Job, kept: Kept, client: Any, progress: bool) -> StoredMaps:
 
     **Raises:** as [`fit_maps`][] does.
     """
-    surface, size = job.scenes[0].surface, job.stack.shape[1:]
-    if isinstance(surface, NormalMap) and surface.mask.shape not in ((1, 1), size):
-        raise ValueError(
-            f"scenes: expected a normal map of {size} pixels, as the images have, got "
-            f"{surface.mask.shape}"
-        )
     blocks, group = make_blocks(job, kept)
     count = math.prod(blocks.store(group).grid)
     if client is None:
@@ -73,6 +67,26 @@ def fit_apart(job: Job, kept: Kept, client: Any, progress: bool) -> StoredMaps:
         total.update(counts)
     complete(kept.output, total)
     return StoredMaps(kept.output)
+
+
+def check_apart(job: Job) -> None:
+    """Check that blocks of a job can be fitted without the others.
+
+    **Raises:** `ValueError` that names the argument.
+    """
+    surface, size = job.scenes[0].surface, job.stack.shape[1:]
+    if not isinstance(surface, NormalMap):
+        return
+    if surface.mask.shape != size and not is_plane(surface):
+        raise ValueError(
+            f"scenes: expected a normal map of {size} pixels, as the images have, got "
+            f"{surface.mask.shape}"
+        )
+    if casts_shadows(job.scenes):
+        raise ValueError(
+            "scenes: expected load=True with a normal map that casts shadows, since "
+            "they fall from one block on others"
+        )
 
 
 def _here(
@@ -107,8 +121,9 @@ def client_for(stack: AbstractStack, client: Any) -> "distributed.Client | None"
     if client is None:
         module = sys.modules.get("distributed")
         with contextlib.suppress(ValueError):
-            return None if module is None else module.get_client()
-        return None
+            client = None if module is None else module.get_client()
+        if client is None:
+            return None
     require("distributed")
     import distributed
 

@@ -198,15 +198,36 @@ class Job:
         }
 
 
+def is_plane(surface: Any) -> bool:
+    """True for a normal map of one pixel, which stands for a plane of any size."""
+    return (
+        isinstance(surface, NormalMap)
+        and surface.mask.shape == (1, 1)
+        and surface.positions is None
+    )
+
+
+def over(plane: Any, size: tuple[int, int]) -> NormalMap:
+    """A plane, see [`is_plane`][], as a normal map of another size."""
+    normals = np.broadcast_to(np.asarray(plane.normals), (*size, 3))
+    return NormalMap(normals, np.broadcast_to(np.asarray(plane.mask), size))
+
+
+def casts_shadows(scenes: Sequence[Scene]) -> bool:
+    """True if the surface is a normal map that casts shadows."""
+    solid = isinstance(scenes[0].surface, NormalMap)
+    return solid and any(scene.shadows for scene in scenes)
+
+
 def _seen_in(scenes: tuple[Scene, ...], window: Window) -> tuple[Scene, ...]:
     """Scenes of a rectangle of the image; a normal map of one pixel is a plane."""
     first, (rows, columns) = scenes[0], window
     size = rows.stop - rows.start, columns.stop - columns.start
     camera = WindowCamera(first.camera, columns.start, rows.start, size[1], size[0])
     surface = first.surface
-    if isinstance(surface, NormalMap) and surface.mask.shape == (1, 1):
-        normals = np.broadcast_to(np.asarray(surface.normals), (*size, 3))
-        surface = NormalMap(normals)
+    whole = first.camera.height, first.camera.width
+    if is_plane(surface) and whole != (1, 1):
+        surface = over(surface, size)
     elif isinstance(surface, NormalMap):
         # Without normalising again, which would change the normals' last bit.
         surface = jax.tree.map(lambda array: cut(array, window), surface)

@@ -17,10 +17,9 @@ from phongfit.fitting.problem.specification import (
     specified,
 )
 from phongfit.maps.blocks import Kept, block_size, fit_whole, kept_at
-from phongfit.maps.cluster import client_for, fit_apart
+from phongfit.maps.cluster import check_apart, client_for, fit_apart
 from phongfit.maps.job import Fitted, Job, check_scenes, make_job
 from phongfit.maps.passes import fit_in_passes, usual_passes
-from phongfit.maps.pixel.settings import MAP_PARAMETERS
 from phongfit.maps.result import Maps, StrengthsName
 from phongfit.maps.stacks import AbstractStack, as_stack
 from phongfit.maps.stored import StoredMaps, complete
@@ -156,11 +155,13 @@ def fit_maps(
         when it is started again, with bit-identical results: finished blocks are
         compared with their checksums, and not fitted again.
     - `block`: with `out`, rows and columns of a block, which is a chunk of the store.
-        Default: whole rows of images, or the images' shards or chunks.
+        Default: whole rows of images, or the images' shards or chunks, about
+        `tile_pixels`; give one of the two.
     - `load`: `False`: neither images nor maps need fit into memory. Each block is read,
         fitted and written to `out` separately, with one block at a time per thread.
         There is one pass, with given strengths and a separate material for each pixel,
-        and a normal map of one pixel stands for a plane. By default a block has 64 MB
+        and a normal map of one pixel stands for a plane; one that casts shadows is
+        refused, since they fall from one block on others. By default a block has 64 MB
         of stored samples.
     - `client`: with `load=False` and images in a zarr store, client of a Dask cluster
         whose workers fit the blocks; default: the current one, or else this process
@@ -183,7 +184,9 @@ def fit_maps(
     instead = "fit_maps is no function that JAX can trace"
     untraced(instead, scenes=scenes, images=images, known=known, mask=mask, noise=noise)
     if output is not None:
-        warn_deprecated("fit_maps(output=...) goes in 0.4; write out=...")
+        warn_deprecated("fit_maps(output=...) goes in 0.4; write out=...", deeper=1)
+        if out is not None:
+            raise ValueError("output: expected its new name out alone, got both")
         out = output
     stack = as_stack(images)
     options: dict[str, Any] = {
@@ -229,11 +232,20 @@ def fit_maps(
         raise ValueError("client: expected load=False, with which workers fit blocks")
     if block is not None and out is None:
         raise ValueError(f"block: expected it with out alone, got {block}")
+    if block is not None and tile_pixels is not None:
+        raise ValueError(
+            f"tile_pixels: expected it or block, got {shown(tile_pixels)} and {block}"
+        )
     scenes, sought = check_scenes(scenes), normals == "fit"
     passes = passes or (usual_passes(scenes) if sought and load else 1)
     if strengths != "given":
         options["bounds"] = {"diffuse": (0.0, np.inf)} | dict(bounds or {})
     job = make_job(scenes, stack, **options)
+    # Checked before older maps in `out` are removed, or a new store is made.
+    if not load:
+        check_apart(job)
+    elif out is not None or not sought:
+        _check_pixels(job)
     team = as_team(devices)
     once = functools.partial(_fit_once, team=team, tile_pixels=tile_pixels, **options)
     with contextlib.ExitStack() as place:
@@ -249,7 +261,7 @@ def fit_maps(
         if sought:
             maps = _fit_normals(once, job, passes, strengths, kept, progress)
         else:
-            maps = once(scenes, stack, kept=kept, progress=progress)
+            maps = _fit_job(job, team, tile_pixels, kept, progress)
         if kept is not None:
             complete(kept.output, maps.counts(), maps)
     return maps
@@ -301,15 +313,27 @@ def _fit_once(
 ) -> Maps:
     """Fit one pass; `options` are those of [`make_job`][]."""
     job = make_job(scenes, images, **options)
+    _check_pixels(job)
+    return _fit_job(job, team, tile_pixels, kept, progress)
+
+
+def _check_pixels(job: Job) -> None:
     if not len(job.pixels):
         raise ValueError("mask: it leaves no pixel that sees the surface")
+
+
+def _fit_job(
+    job: Job, team: Team, tile_pixels: int | None, kept: Kept | None, progress: bool
+) -> Maps:
+    """Fit one pass of a job."""
+    wanted = job.settings.materials
     job, shared = with_materials(job, team.threads)
     if kept is None:
-        size = tile_size(len(job.pixels), len(scenes), tile_pixels, team)
+        size = tile_size(len(job.pixels), len(job.scenes), tile_pixels, team)
         maps = fit_job(job, size, team, shared, progress)
     else:
         maps = fit_whole(job, kept, shared, team, progress)
-    matte = options["materials"] is not None and shared is None
+    matte = wanted is not None and shared is None
     return dataclasses.replace(maps, matte=matte)
 
 
@@ -322,6 +346,7 @@ def fit_stored_maps(
 ) -> StoredMaps:
     """Deprecated name of [`fit_maps`][] with `out` and `load=False`."""
     warn_deprecated(
-        "fit_stored_maps goes in 0.4; write fit_maps(..., out=..., load=False)"
+        "fit_stored_maps goes in 0.4; write fit_maps(..., out=..., load=False)",
+        deeper=1,
     )
     return fit_maps(scenes, images, out=output, load=False, **options)

@@ -27,7 +27,6 @@ from phongfit.files.zarrs import (
     attributes,
     find_images,
     fingerprint,
-    is_store,
     place_of,
     read_window,
 )
@@ -363,15 +362,6 @@ class ZarrStack(AbstractCodedStack):
         count, height, width, _ = self.array.shape
         return count, height, width
 
-    def read(
-        self, window: Window, size: tuple[int, int]
-    ) -> Float[np.ndarray, "images height width 3"]:
-        """Linear light of rows and columns of all images, padded to `size` with 0."""
-        light = self.read_coded(window).light
-        padded = np.zeros((len(light), *size, 3), light.dtype)
-        padded[:, : light.shape[1], : light.shape[2]] = light
-        return padded
-
     def read_coded(self, window: Window) -> Coded:
         """Rows and columns of all images as stored."""
         numbers = read_window(self.array, (slice(None), *window))
@@ -399,7 +389,7 @@ class ZarrStack(AbstractCodedStack):
 
 def as_stack(images: Any) -> AbstractStack:
     """Stack of `images`: a stack, a zarr store or arrays; else `ValueError`."""
-    if is_store(images):
+    if isinstance(images, str | os.PathLike):
         return ZarrStack(images)
     return images if isinstance(images, AbstractStack) else ArrayStack(images)
 

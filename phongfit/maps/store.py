@@ -9,6 +9,7 @@ import hashlib
 import json
 import os
 import re
+import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,7 @@ from phongfit.files.zarrs import (
     Window,
     address,
     attributes,
+    erase,
     holds,
     is_remote,
     make_array,
@@ -32,22 +34,26 @@ from phongfit.files.zarrs import (
 )
 from phongfit.maps.pixel.settings import MAP_PARAMETERS
 from phongfit.maps.result import FAULTS, PLAIN, Layer
+from phongfit.maps.stored import STORE_FORMAT
 
 if TYPE_CHECKING:
     from phongfit.files.zarrs import Group
 
-LEDGER, GIVEN, PLAN = "ledger", "given", "plan"
-"""Names in a store: checksums of blocks, input arrays, and the plan."""
+LEDGER, GIVEN, PLAN, HEAD = "ledger", "given", "plan", "zarr.json"
+"""Names in a store: checksums of blocks, input arrays, the plan, and the attributes."""
 
 OWN = {
     *MAP_PARAMETERS,
     *(f"stderr_{name}" for name in MAP_PARAMETERS),
-    *(*PLAIN, "noise_given", LEDGER, GIVEN, PLAN, WORK, "zarr.json"),
+    *(*PLAIN, "noise_given", LEDGER, GIVEN, PLAN, WORK, HEAD),
     *(*FAULTS, "matte", "strengths", "stderr_strengths"),
 }
 """Names of the files and folders that a run writes into a store on a disk."""
 
-OTHERS = re.compile(r"pass_\d+|materials_\w+|zarr\.[0-9a-f]+\.partial")
+PARTIAL = r"zarr\.[0-9a-f]+\.partial"
+"""Names of a file that a killed run was writing."""
+
+OTHERS = re.compile(rf"pass_\d+|materials_\w+|{PARTIAL}")
 """Names of the stores of earlier passes, of arrays of shared materials, and of a file
 that a killed run was writing."""
 
@@ -140,6 +146,17 @@ class BlockStore:
         return found.digest()[:DIGEST]
 
 
+class Anew(os.PathLike[str]):
+    """The place of a store whose older maps are removed before new ones are written."""
+
+    def __init__(self, path: str | os.PathLike[str]):
+        """**Arguments:** `path`: path or URL of the store."""
+        self.path = os.fspath(path)
+
+    def __fspath__(self) -> str:
+        return self.path
+
+
 @contextlib.contextmanager
 def alone_at(
     output: str | os.PathLike[str], images: str | None = None
@@ -148,18 +165,58 @@ def alone_at(
 
     A folder on a disk is made if it is missing. Object stores have no locks.
 
-    **Arguments:** `images`: as for [`check_place`][].
+    **Arguments:**
+
+    - `output`: path or URL; [`Anew`][] to remove older maps first.
+    - `images`: as for [`check_place`][].
 
     **Raises:** as [`check_place`][]; `OSError` if another run writes there.
     """
+    anew = isinstance(output, Anew)
     if is_remote(output):
-        yield address(output)
+        place = address(output)
+        if anew:
+            _check_maps(place)
+            erase(place)
+        yield place
         return
-    output = os.path.abspath(output)
-    check_place(output, images)
-    Path(output).mkdir(parents=True, exist_ok=True)
-    with alone_in(Path(output)):
-        yield output
+    place = os.path.abspath(output)
+    check_place(place, images)
+    Path(place).mkdir(parents=True, exist_ok=True)
+    with alone_in(Path(place)):
+        if anew:
+            _clear(Path(place))
+        yield place
+
+
+def _clear(folder: Path) -> None:
+    """Remove older maps from a folder of which [`check_place`][] has approved.
+
+    The attributes go last: maps of which a part is gone are still known as such.
+    """
+    if not (folder / HEAD).exists():
+        return
+    write_attributes(open_group(str(folder), "r+"), {"counts": None})
+    names = {entry.name for entry in folder.iterdir()} - {HEAD, WORK}
+    try:
+        for name in [*sorted(names), HEAD]:
+            part = folder / name
+            shutil.rmtree(part) if part.is_dir() else part.unlink()
+    except OSError as error:
+        raise OSError(f"{folder}: cannot be removed: {error.strerror}") from error
+
+
+def _check_maps(output: str) -> None:
+    """Check that a store has maps.
+
+    **Raises:** `OSError` that names it.
+    """
+    try:
+        found = attributes(open_group(output)).get("format")
+    except ValueError:
+        found = None
+    if found != STORE_FORMAT:
+        raise OSError(f"{output}: is not replaced, since it holds no maps")
 
 
 def check_place(output: str | os.PathLike[str], images: str | None) -> None:
@@ -181,6 +238,10 @@ def check_place(output: str | os.PathLike[str], images: str | None) -> None:
     for name in sorted(entry.name for entry in place.iterdir()):
         if name not in OWN and not OTHERS.fullmatch(name):
             raise OSError(f"{output}: is not replaced, since it holds {name}")
+    # A run that was killed early has left no more than these.
+    early = re.compile(rf"{re.escape(WORK)}|{re.escape(HEAD)}|{PARTIAL}")
+    if not all(early.fullmatch(entry.name) for entry in place.iterdir()):
+        _check_maps(str(output))
 
 
 def open_store(output: str, head: Mapping[str, Any]) -> "Group":

@@ -365,7 +365,7 @@ def test_a_sphere_that_the_stand_hides_is_taken_as_given():
     assert tuple(found.spheres[0].outline) == pytest.approx(circle)
     assert any("circle is used as given" in warning for warning in found.warnings)
     # Unless the half that is seen contradicts it.
-    wrong = np.asarray(circle) + (0, 5, 0)
+    wrong = tuple((np.asarray(circle) + (0, 5, 0)).tolist())
     found = pf.calibrate(images, chrome=[wrong], fov=studio.fov)
     np.testing.assert_allclose(found.spheres[0].outline, circle, atol=1)
     assert "outline-moved" in map(pf.warning_code, found.warnings)

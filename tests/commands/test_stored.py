@@ -100,6 +100,10 @@ def test_a_pinhole_and_a_list_of_lights(capture, tmp_path):
         (["--lights", "some.lp"], "scene.json is a scene, which says this itself"),
         (["--fov", "40"], "scene.json is a scene, which says this itself"),
         (["--normals", "fit"], "lights: expected an .lp or lights.json in"),
+        (
+            ["--dask", "local:1", "--tile-pixels", "64"],
+            "dask: expected it without --tile-pixels, which one process fits",
+        ),
         (["--dask", "tcp"], "dask: expected local:N or the address of a scheduler"),
     ],
 )
@@ -107,6 +111,43 @@ def test_what_is_wrong_is_named(stored, tmp_path, capsys, words, told):
     out = str(tmp_path / "maps.zarr")
     assert main(["maps", str(stored), "-o", out, *words]) == 2
     assert told in capsys.readouterr().err
+
+
+def test_further_passes_over_a_plane(capture, tmp_path, asked_of):
+    """It is known as one normal, which they need for every pixel."""
+    folder, _ = capture
+    images = [pf.read_image(path, "linear") for path in sorted(folder.glob("*.png"))]
+    zarr.create_array(tmp_path / "stack.zarr", data=np.stack(images))
+    shutil.copy(folder / "dome.lp", tmp_path)
+    words = ["maps", tmp_path / "stack.zarr", "--normals", "fit"]
+    words += ["--unknowns", "diffuse", "-o", tmp_path / "maps.zarr"]
+    for more, load, size in (
+        ([], False, (1, 1)),
+        (["--passes", 2], True, (16, 24)),
+        (["--strengths", "fit"], True, (16, 24)),
+        (["--tile-pixels", 64], True, (16, 24)),
+    ):
+        place = "phongfit.commands.maps.fit_maps"
+        (scenes, _), options = asked_of(place, *words, *more)
+        assert options["load"] == load
+        assert scenes[0].surface.mask.shape == size
+
+
+def test_maps_stay_until_others_can_be_made(stored, tmp_path, capsys):
+    out = tmp_path / "maps.zarr"
+    args = ["maps", str(stored), "-o", str(out), *FEW]
+    assert main(args) == 0
+    before = files_in(out)
+    for words, told in (
+        (["--tile-pixels", "0"], "tile_pixels: expected a whole number"),
+        (["--passes", "2", "--dask", "local:1"], "dask: expected it without --passes"),
+        (["--bounds", "diffuse=2:1"], "bounds"),
+    ):
+        assert main([*args, "--overwrite", *words]) == 2
+        assert told in capsys.readouterr().err
+        assert files_in(out) == before
+    assert main([*args[:-1], "0.1", "--overwrite"]) == 0
+    assert files_in(out) != before
 
 
 def test_stores_and_folders_are_not_mixed_up(brass, stored, tmp_path, capsys):

@@ -272,6 +272,11 @@ def test_what_is_wrong_is_named(images, tmp_path, monkeypatch):
     with pytest.raises(ValueError, match="dask: expected local:N or the address"):
         with dask_client("local:none"):
             raise AssertionError
+    import distributed
+
+    monkeypatch.setattr(distributed, "get_client", object)
+    with pytest.raises(ValueError, match="client: expected a Client of Dask's that"):
+        fit_apart(made().scenes, images, tmp_path / "new.zarr", **QUICK)
     real = importlib.util.find_spec
     monkeypatch.setattr(
         importlib.util, "find_spec", lambda n: None if n == "distributed" else real(n)

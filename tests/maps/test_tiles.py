@@ -15,6 +15,7 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 import pytest
+import zarr
 from PIL import Image
 
 import phongfit as pf
@@ -236,13 +237,67 @@ def test_another_job_is_refused(tmp_path):
         fitted(out=tmp_path / "full")
 
 
+def test_a_folder_with_names_as_maps_have_stays(tmp_path):
+    (tmp_path / "normals").mkdir()
+    (tmp_path / "normals" / "mine.txt").write_text("mine")
+    with pytest.raises(OSError, match="is not replaced, since it holds no maps"):
+        fitted(out=tmp_path)
+    assert (tmp_path / "normals" / "mine.txt").read_text() == "mine"
+
+
+def test_a_run_that_was_refused_leaves_no_store(maps, tmp_path):
+    with pytest.raises(ValueError, match="mask: it leaves no pixel"):
+        fitted(out=tmp_path / "out", mask=np.zeros((48, 64), bool))
+    same(fitted(out=tmp_path / "out"), maps)
+
+
+def test_images_of_a_store_of_any_name(maps, tmp_path):
+    zarr.create_array(tmp_path / "stack", data=stack().images, chunks=(4, 16, 64, 3))
+    same(fitted(tmp_path / "stack"), maps)
+    same(fitted(str(tmp_path / "stack")), maps)
+
+
+def test_an_image_of_one_pixel_and_its_normal_map(tmp_path):
+    """Which is no plane: its pixel may be outside."""
+    camera = pf.OrthographicCamera(1, 1)
+    lamp = pf.DirectionalLight((0, 0, 1))
+    for normal, outside in ((1.0, False), (0.0, True)):
+        surface = pf.NormalMap(np.array([[[0, 0, normal]]]))
+        scenes = [pf.Scene(surface, camera, lamp)] * 2
+        images, out = np.full((2, 1, 1, 3), 0.3), tmp_path / f"{normal}"
+        options: Any = QUICK | {"tile_pixels": None, "out": out, "load": False}
+        found = pf.fit_maps(scenes, images, **options).load()
+        assert found.flagged(pf.Flag.OUTSIDE).tolist() == [[outside]]
+
+
+def test_shadows_fall_from_one_block_on_others(tmp_path):
+    y, x = np.mgrid[:48, :64].astype(float)
+    positions = np.stack([x - 31.5, 23.5 - y, 0 * x], axis=-1)
+    up = np.broadcast_to([0.0, 0, 1], positions.shape)
+    surface = pf.NormalMap(up, positions=positions)
+    scenes = [
+        dataclasses.replace(scene, surface=surface, shadows=True)
+        for scene in stack().scenes
+    ]
+    options: Any = QUICK | {"tile_pixels": None}
+    with pytest.raises(ValueError, match="scenes: expected load=True with a normal"):
+        pf.fit_maps(scenes, stack().images, out=tmp_path, load=False, **options)
+    assert not any(tmp_path.iterdir())
+
+
 def test_stores_of_before_and_old_names(maps, tmp_path):
-    with pytest.warns(DeprecationWarning, match="write out="):
+    with pytest.warns(DeprecationWarning, match="write out=") as told:
         same(fitted(output=tmp_path / "tiles"), maps)
+    # Python shows it to those whose line it is.
+    assert told[0].filename == __file__
     options: Any = {"unknowns": ("diffuse",), "film": pf.Film(clamp=False)}
     out = tmp_path / "maps"
-    with pytest.warns(DeprecationWarning, match="load=False"):
+    with pytest.warns(DeprecationWarning, match="load=False") as told:
         stored = pf.fit_stored_maps(stack().scenes, stack().images, out, **options)
+    with pytest.raises(ValueError, match="output: expected its new name out alone"):
+        with pytest.deprecated_call():
+            fitted(out=tmp_path / "a", output=tmp_path / "b")
+    assert told[0].filename == __file__
     same(stored.load(), maps)
     # Version 1 has no arrays of the maps as a whole.
     record = json.loads((out / "zarr.json").read_text())
@@ -261,6 +316,10 @@ def test_stores_of_before_and_old_names(maps, tmp_path):
         ({}, "out: expected a store with load=False"),
         ({"load": True, "client": 1}, "client: expected load=False"),
         ({"load": True, "block": (2, 2)}, "block: expected it with out alone"),
+        (
+            {"load": True, "out": "a", "block": (2, 2), "tile_pixels": 9},
+            r"tile_pixels: expected it or block, got 9 and \(2, 2\)",
+        ),
     ],
 )
 def test_what_blocks_one_by_one_do_not_allow(options, told):

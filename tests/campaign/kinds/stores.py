@@ -130,8 +130,9 @@ def _of_stack(random: np.random.Generator, stock: Path) -> Case:
             count, height, width = stack.shape
             for row in range(0, min(height, 4 * SIDE), 8):
                 window = slice(row, row + 8), slice(0, 8)
-                part = stack.read(window, (8, 8))
-                if part.shape != (count, 8, 8, 3):
+                part = stack.read_coded(window).light
+                rows, columns = min(8, height - row), min(8, width)
+                if part.shape != (count, rows, columns, 3):
                     raise Wrong(f"a window of {part.shape}")
 
     return _of(random, stock, name, act)

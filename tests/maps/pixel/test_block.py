@@ -16,7 +16,8 @@ def passes_of(unsettled):
     count = len(unsettled)
     normal = floats(np.stack([np.arange(count), unsettled, unsettled], axis=-1))
     one, none = jnp.zeros((1, 3)), jnp.zeros((1, count, 1), bool)
-    tile = Tile(jnp.zeros((1, count, 3)), none, normal, one, one)
+    light, seen = jnp.zeros((1, count, 3)), jnp.array(count)
+    tile = Tile(light, none, normal, one, one, None, None, seen)
 
     def fit(part, thorough):
         pixel, unsettled, _ = part.normal.T
