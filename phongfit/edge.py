@@ -63,7 +63,7 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
         named = [kinds.check(*pair) for pair in zip(names, args, strict=False)]
         given = {name: kinds.check(name, value) for name, value in kwargs.items()}
         if options:
-            _check_names(function.__name__, kwargs, whole)
+            _check_names(function, kwargs, whole)
         # For surplus arguments the function raises its own TypeError.
         return function(*named, *args[len(named) :], **given)  # pyright: ignore
 
@@ -94,13 +94,16 @@ def _with_options(
 
 
 def _check_names(
-    function: str, given: Iterable[str], signature: inspect.Signature
+    function: Callable[..., Any], given: Iterable[str], signature: inspect.Signature
 ) -> None:
+    names = [name for name in signature.parameters if name != "self"]
     for name in given:
-        if name not in signature.parameters:
+        if name not in names:
+            # A constructor is named after its class.
+            called = function.__qualname__.removesuffix(".__init__").split(".")[-1]
             raise TypeError(
-                f"{function}() got an unexpected keyword argument {name!r}, expected "
-                f"one of {', '.join(signature.parameters)}"
+                f"{called}() got an unexpected keyword argument {name!r}, expected "
+                f"one of {', '.join(names)}"
             )
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 import phongfit as pf
 from experiments.benchmark.timing import seconds
-from phongfit.fitting.fit import DEFAULT_UNKNOWNS
+from phongfit.fitting.problem.specification import DEFAULT_UNKNOWNS
 
 MATERIAL = pf.Material((0.6, 0.3, 0.2), 0.3, 60.0, 0.5)
 # Width and height of rendered images, pixels.

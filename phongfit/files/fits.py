@@ -60,8 +60,8 @@ Nested = float | None | Numbers | Many[Numbers]
 Entries = float | Many[float] | Many[Many[float]]
 """A number, or a vector or matrix of them."""
 
-Prior = Annotated[tuple[float | Many[float], float], BeforeValidator(_as_tuple)]
-"""(mean, standard deviation); the mean is one number or one for each entry."""
+Prior = Annotated[tuple[Entries, Entries], BeforeValidator(_as_tuple)]
+"""(mean, standard deviation); each is one number or one for each entry."""
 
 Digest = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 """A SHA-256 in hexadecimal digits."""
@@ -165,7 +165,7 @@ def describe_specification(specification: Specification) -> dict[str, Any]:
         {"arrays": as_names(key), "covariance": covariance}
         for key, covariance in specification.uncertain.items()
     ]
-    return plain(
+    content = plain(
         specification.options
         | {
             "known": known,
@@ -174,6 +174,8 @@ def describe_specification(specification: Specification) -> dict[str, Any]:
             "uncertain": uncertain,
         }
     )
+    validated(content, FitSettings)
+    return content
 
 
 def read_specification(data: Any) -> Specification:
@@ -181,7 +183,10 @@ def read_specification(data: Any) -> Specification:
 
     **Raises:** `ValueError` that names the option.
     """
-    return validated(data, FitSettings).specification()
+    settings = validated(data, FitSettings)
+    if settings.noise is not None:
+        raise ValueError("noise: expected none, since it is given beside the options")
+    return settings.specification()
 
 
 def _describe_film(film: Film) -> dict[str, Any]:

@@ -115,9 +115,13 @@ def predict_errors(
     specification.refuse("loss", "predict_errors")
     if "known" in options:
         raise ValueError("known: expected none, since material has all parameters")
+    for name in ("max_steps", "tolerance"):
+        if name in options:
+            raise ValueError(f"{name}: expected none, since nothing is solved")
     single = isinstance(scene, Scene)
     scenes = [scene] if single else list(scene)
-    films = as_films(specification.film or Film(), len(scenes), "scene")
+    film = Film() if specification.film is None else specification.film
+    films = as_films(film, len(scenes), "scene")
     images = [
         _photograph(one, material, how) for one, how in zip(scenes, films, strict=True)
     ]

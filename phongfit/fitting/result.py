@@ -178,7 +178,8 @@ class Fit:
 
         The spread does not contain a lack of fit, which a simulation does not have.
         Beside a bound or with few samples it holds better than a standard error, which
-        comes from the linearised fit.
+        comes from the linearised fit. The spread of an unknown that is not identified
+        depends on its bounds, and says nothing of its error.
 
         **Arguments:**
 
@@ -192,8 +193,8 @@ class Fit:
         **Raises:** `ValueError` that names the argument.
         """
         asked = dataclasses.replace(self.specification, film=self.films)
-        data = self.scene, self.photographs, self.noise_given
-        return bootstrap(self.solution, asked, *data, n, key)
+        scenes = (self.scene,) if isinstance(self.scene, Scene) else self.scene
+        return bootstrap(self.solution, asked, scenes, self.noise_given, n, key)
 
     def diagnose(self) -> Diagnostics:
         """Profiles of a few unknowns, and the cost at each step of the solver.

@@ -203,6 +203,11 @@ def _with_suffix(
 ) -> SpecificationOptions:
     """The options, with names of textures that were given without the suffix."""
     unknowns = options.get("unknowns")
+    if textures is not None and specification is not None:
+        raise ValueError(
+            f"textures: expected none beside a specification; write unknowns with "
+            f"{TEXTURE}"
+        )
     if textures is None:
         given = unknowns is not None and specification is None
         if not given or textures_among(unknowns or ()):

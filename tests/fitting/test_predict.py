@@ -148,6 +148,9 @@ def test_fewer_unknowns_are_known_better():
         ({"gloss": 1}, TypeError, "'gloss', expected one of scene, material"),
         ({"known": TRUTH}, ValueError, "known: expected none"),
         ({"loss": "tukey"}, ValueError, "loss: expected its default"),
+        ({"max_steps": 3}, ValueError, "max_steps: expected none"),
+        ({"tolerance": 1e-3}, ValueError, "tolerance: expected none"),
+        ({"film": []}, ValueError, "film: expected 1, one for each scene, got 0"),
     ],
 )
 def test_options_that_are_refused(options, error, words):

@@ -345,3 +345,5 @@ def test_a_specification_and_a_change(images, kept):
     assert not pf.fit_texture(scenes(), images, asked, size=SIZE).converged
     again = pf.fit_texture(scenes(), images, asked, size=SIZE, max_steps=20)
     near(again.values["diffuse"], kept.values["diffuse"], 0)
+    with pytest.raises(ValueError, match="textures: expected none beside a spec"):
+        pf.fit_texture(scenes(), images, asked, size=SIZE, textures=("diffuse",))

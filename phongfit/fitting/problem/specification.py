@@ -95,8 +95,7 @@ class Specification:
         ties = given["ties"].items()
         given["ties"] = {k: (1.0, v) if isinstance(v, str) else v for k, v in ties}
         given["film"] = film if isinstance(film, Film | None) else tuple(film)
-        loss = given["loss"]
-        given["loss"] = as_loss(_DEFAULTS["loss"] if loss is None else loss)
+        given["loss"] = as_loss("linear" if given["loss"] is None else given["loss"])
         for name, value in given.items():
             object.__setattr__(self, name, value)
         self._check_names()

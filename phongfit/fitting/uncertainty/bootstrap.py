@@ -21,7 +21,7 @@ from phongfit.fitting.solve.search import SearchResult
 from phongfit.material import Material
 from phongfit.programs import program
 from phongfit.rendering.film import Film, decode
-from phongfit.rendering.pixels import PixelTerms
+from phongfit.rendering.pixels import PixelTerms, resolve_terms
 from phongfit.scene import Scene
 
 
@@ -76,8 +76,7 @@ class Bootstrap:
 def bootstrap(
     solution: SearchResult,
     specification: Specification,
-    scene: Scene | tuple[Scene, ...],
-    photographs: Any,
+    scenes: Sequence[Scene],
     noise_given: bool,
     n: int,
     key: Any,
@@ -87,7 +86,7 @@ def bootstrap(
     **Arguments:**
 
     - `specification`: with the films of the photographs.
-    - `scene`, `photographs`: of the fit; scenes with the fitted values.
+    - `scenes`: with the fitted values.
     - `n`, `key`: see [`Fit`][]`.bootstrap`.
     """
     if n < 2:
@@ -99,21 +98,13 @@ def bootstrap(
             f"key: expected a key, such as jax.random.key(0), got {shown(key)}"
         ) from error
     problem, y = solution.problem, solution.y
-    weights = _weights(problem)
-    data = set_up(
-        specification,
-        scene,
-        photographs,
-        weights=weights[0] if isinstance(scene, Scene) else weights,
-        # The weights of a fit with a given noise level are inverse variances.
-        noise=1.0 if noise_given else None,
-    )
+    data = _data(problem, specification, noise_given)
     entries = problem.unknowns.entries(y)
     material, exposures = problem.material(y), problem.unknowns.exposures(entries)
-    lights = [
-        _light(one.pixels, material, exposure, one.mask, one.scene.background)
-        for one, exposure in zip(data.sources, exposures, strict=True)
-    ]
+    lights = []
+    for one, exposure in zip(scenes, exposures, strict=True):
+        mask, pixels = resolve_terms(one)
+        lights.append(_light(pixels, material, exposure, mask, one.background))
     estimates, failed = [], 0
     for one in keys:
         drawn = _draw(data, lights, entries, float(problem.sigma), one)
@@ -125,6 +116,24 @@ def bootstrap(
             failed += 1
     labels = data.unknowns.labels
     return Bootstrap(labels, np.reshape(estimates, (-1, len(labels))), failed)
+
+
+def _data(problem: Problem, specification: Specification, noise_given: bool) -> FitData:
+    """The data of a fit with its first scenes and weights, and grey photographs.
+
+    Entries count from the first scenes, as the angles of a rotation do.
+    """
+    scenes = tuple(view.scene for view in problem.samples.views)
+    kind = problem.samples.target.dtype
+    grey = [np.full((s.camera.height, s.camera.width, 3), 0.5, kind) for s in scenes]
+    # The weights of a fit with a given noise level are inverse variances.
+    noise = 1.0 if noise_given else None
+    data = set_up(specification, scenes, grey, noise=noise)
+    sources = [
+        dataclasses.replace(source, weight=jnp.asarray(weight))
+        for source, weight in zip(data.sources, _weights(problem), strict=True)
+    ]
+    return dataclasses.replace(data, sources=sources)
 
 
 def _weights(problem: Problem) -> list[np.ndarray]:
@@ -186,6 +195,8 @@ def _photograph(
     """An image with noise, as read from its file; unused samples have typical noise."""
     weight = jnp.broadcast_to(weight, light.shape)
     typical = jnp.nanmedian(jnp.where(weight > 0, weight, jnp.nan))
+    # An image without any used sample has none.
+    typical = jnp.where(jnp.isnan(typical), 1, typical)
     deviation = sigma / jnp.sqrt(jnp.where(weight > 0, weight, typical))
     noisy = light + deviation * jax.random.normal(key, light.shape, light.dtype)
     return decode(film.expose(noisy), film.encoding)

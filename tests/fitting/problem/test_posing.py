@@ -1,5 +1,7 @@
 """The problem in the open: what a sampler or another solver asks of it."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -74,5 +76,6 @@ def test_priors_are_normal():
 def test_it_asks_for_the_noise_and_for_options_that_there_are():
     with pytest.raises(ValueError, match="^noise: expected a standard deviation"):
         pf.make_problem(SCENE, IMAGE, None)
+    options: dict[str, Any] = {"unknown": ["diffuse"]}
     with pytest.raises(TypeError, match="make_problem.*'unknown'"):
-        pf.make_problem(SCENE, IMAGE, NOISE, unknown=["diffuse"])
+        pf.make_problem(SCENE, IMAGE, NOISE, **options)

@@ -1,12 +1,13 @@
 import dataclasses
 import json
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import phongfit as pf
-from phongfit.fitting.problem.specification import Specification
+from phongfit.fitting.problem.specification import Specification, specified
 from tests.fitting.scenes import ball, photograph, truth
 
 TRUTH = truth()
@@ -59,7 +60,15 @@ MORE = {
 }
 
 
-@pytest.mark.parametrize("options", [{}, OPTIONS, MORE])
+NESTED = {
+    "priors": {
+        "diffuse": (((0.5, 0.4, 0.3), (0.1, 0.2, 0.3)), 0.05),
+        "specular": ((0.1, 0.2, 0.3), np.array([0.01, 0.02, 0.03])),
+    }
+}
+
+
+@pytest.mark.parametrize("options", [{}, OPTIONS, MORE, NESTED])
 def test_it_is_written_and_read_as_json(options):
     asked = Specification(**options)
     assert Specification.from_dict(json.loads(json.dumps(asked.to_dict()))) == asked
@@ -72,6 +81,7 @@ def test_it_is_written_and_read_as_json(options):
         ({"max_steps": "x"}, 'max_steps: expected a valid integer, got "x"'),
         ({"film": {"bits": 99}}, "film: bits: expected None or 1 … 16, got 99"),
         ({"loss": "square"}, "loss: expected 'linear', .*, got \"square\""),
+        ({"noise": 0.1}, "noise: expected none"),
         (3, "the file: expected"),
     ],
 )
@@ -99,6 +109,25 @@ def test_each_of_them_counts(name):
 
 def test_nothing_was_asked():
     assert Specification().changed == {} and Specification().asks_as_usual
+
+
+def test_a_loss_of_none_is_the_default():
+    assert Specification(loss=None) == Specification()
+    asked = Specification(loss="tukey")
+    assert specified(asked, {"loss": None, "film": None}, "") == asked
+
+
+def test_a_functions_own_defaults_stay_beside_a_specification():
+    own = Specification(loss="cauchy", max_steps=20)
+    asked = Specification(unknowns=("diffuse",), film=pf.Film())
+    found = specified(asked, {"film": None}, "", own)
+    assert found == Specification(unknowns=("diffuse",), loss="cauchy", max_steps=20)
+    assert specified(Specification(loss="tukey"), {}, "", own).loss == pf.Tukey()
+
+
+def test_a_tolerance_that_is_an_array_becomes_a_number():
+    asked = Specification(tolerance=jnp.asarray(0.25))  # pyright: ignore
+    assert type(asked.tolerance) is float and asked.tolerance == 0.25
 
 
 def test_it_stays_as_it_is():
@@ -157,11 +186,13 @@ def test_a_fit_knows_what_it_was_asked():
 
 
 def test_a_misspelt_option_is_named():
+    wrong: dict[str, Any] = {"unknown": ()}
     with pytest.raises(TypeError, match="predict_errors.*'unknown', expected one of"):
-        pf.predict_errors(ball(), TRUTH, 0.01, unknown=("diffuse",))
+        pf.predict_errors(ball(), TRUTH, 0.01, **wrong)
     with pytest.raises(TypeError, match="'unknown'"):
         pf.fit(ball(), np.zeros((32, 32, 3)), unknown=())  # pyright: ignore
-    with pytest.raises(TypeError, match="'unknown'"):
+    words = r"^Specification\(\) got .*'unknown', expected one of unknowns, per_ch"
+    with pytest.raises(TypeError, match=words):
         Specification(unknown=())  # pyright: ignore
     with pytest.raises(ValueError, match="specification: expected a Specification"):
         pf.fit(ball(), np.zeros((32, 32, 3)), {"unknowns": ()})  # pyright: ignore

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -121,10 +122,9 @@ def test_errors_under_uncertain_lamps_are_foreseen():
     lit = [light.illuminate(jnp.zeros(3)) for light in scene.lights]
     strengths = np.concatenate([np.asarray(light.intensity) for light in lit])
     uncertain = {names: share**2 * np.outer(strengths, strengths)}
-    plain, foreseen = (
-        pf.predict_errors(scene, TRUTH, NOISE, film=known, **options)
-        for options in ({}, {"uncertain": uncertain})
-    )
+    options: dict[str, Any] = {"uncertain": uncertain}
+    plain = pf.predict_errors(scene, TRUTH, NOISE, film=known)
+    foreseen = pf.predict_errors(scene, TRUTH, NOISE, film=known, **options)
     fit = pf.fit(scene, canonical.jpeg().image, film=known, uncertain=uncertain)
     np.testing.assert_allclose(foreseen.errors, fit.errors, rtol=0.5)
     # The material is darker by as much; ambient light is no lamp's.
