@@ -290,6 +290,20 @@ def write_attributes(group: "Group", values: dict[str, Any]) -> None:
         group.update_attributes(values)
 
 
+def exists(path: str | os.PathLike[str]) -> bool:
+    """True if there is anything at a path or URL.
+
+    **Raises:** `OSError` or `ValueError` that names it.
+    """
+    import fsspec
+
+    path = address(path)
+    with _blaming(path, "read"):
+        files, root = fsspec.url_to_fs(path)
+        files.invalidate_cache()
+        return bool(files.exists(root))
+
+
 def erase(path: str | os.PathLike[str]) -> None:
     """Remove a store and all its contents.
 

@@ -23,6 +23,7 @@ from phongfit.files.zarrs import (
     address,
     attributes,
     erase,
+    exists,
     holds,
     is_remote,
     make_array,
@@ -175,7 +176,7 @@ def alone_at(
     anew = isinstance(output, Anew)
     if is_remote(output):
         place = address(output)
-        if anew:
+        if anew and exists(place):
             _check_maps(place)
             erase(place)
         yield place
