@@ -139,7 +139,7 @@ class Blocks:
 
 def make_blocks(
     job: Job, kept: Kept, shared: Materials | None = None
-) -> tuple[Blocks, "Group"]:
+) -> "tuple[Blocks, Group]":
     """The blocks of a job, and the group of their store with all arrays.
 
     **Raises:** as [`open_store`][] does.
