@@ -125,7 +125,7 @@ def times(matrix: Triangle, vector: Numbers) -> Numbers:
     )
 
 
-def dot(a: Numbers, b: Numbers) -> Array:
+def dot(a: Numbers, b: Numbers) -> Any:
     """Sum of products; 0 for no pair."""
     total: Any = 0
     for left, right in zip(a, b, strict=True):
