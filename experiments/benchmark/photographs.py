@@ -145,7 +145,7 @@ def _read(source: str) -> None:
         _, height, width = stack.shape
         for start in range(0, height, 512):
             rows = slice(start, min(start + 512, height))
-            stack.read((rows, slice(0, width)), (rows.stop - rows.start, width))
+            stack.read_coded((rows, slice(0, width)))
     else:
         for path in sorted(Path(source).glob("*.jpg")):
             pf.read_image(path, "srgb")
