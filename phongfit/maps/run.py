@@ -109,8 +109,9 @@ def fit_maps(
         `noise` with such files. Light that compression removes from all images alike,
         as at the rim of a highlight, is not restored, unlike in [`fit`][].
     - `specification`: `unknowns`, `per_channel`, `known`, `bounds`, `film` and `loss`,
-        for several calls. Those that are given beside it replace its own. Other options
-        of [`fit`][] must have their defaults.
+        for several calls. Those that are given beside it replace its own. Where it has
+        the default of [`fit`][], the default here applies. Other options of [`fit`][]
+        must have their defaults.
     - `loss`: as in [`fit`][]; a robust loss is for images with outliers. Default:
         `"linear"`; `"cauchy"` if normals are fitted, since shadows and
         interreflections are outliers.

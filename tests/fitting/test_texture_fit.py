@@ -292,7 +292,10 @@ def test_a_wrong_model_is_said_to_be_wrong(images):
             "unknowns: expected diffuse or diffuse.t",
         ),
         ({"unknowns": (*DIFFUSE, *DIFFUSE)}, "unknowns: expected each name once"),
-        ({"specification": pf.Specification()}, "unknowns: expected a texture"),
+        (
+            {"specification": pf.Specification(unknowns=("diffuse",))},
+            "unknowns: expected a texture",
+        ),
         ({"fixed": {"specular": 0.3}}, "fixed: expected its default in fit_texture"),
         ({"loss": "tukey"}, "loss: expected its default in fit_texture"),
         ({"size": (0, 3)}, "size: expected rows and columns"),
