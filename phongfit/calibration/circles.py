@@ -359,6 +359,8 @@ def _vote(edges: Edges, shrink: int) -> list[np.ndarray]:
     weight = 1.0 / shrink
     x, y = (columns + 0.5) / shrink, (rows + 0.5) / shrink
     radii = np.arange(max(6.0, 0.02 * min(height, width)), 0.5 * min(height, width))
+    if not len(radii):
+        return []
     votes = np.zeros((len(radii), height, width), np.float32)
     for number, radius in enumerate(radii):
         for sign in (-1, 1):

@@ -32,11 +32,20 @@ SEEN = 0.85
 """Visible fraction of the arc of a sphere that is found, or placed without a look
 around."""
 
+LARGE_ENOUGH = 40
+"""Smallest radius of an outline that is looked for in means of pixels, in their
+sides."""
+
 AROUND = 0.25
 """Largest distance, in radii, of an outline from the circle given for it."""
+
 NOT_ROUND = {"chrome": (0.06, 0.06, 0.15), "matte": (0.06, 0.06, 0.08)}
 """Smallest errors of a sphere's circle, pixels: x, y and radius. Those of a mirror's
 radius are larger, since its rim mirrors the background and has little contrast."""
+
+NESTED = 0.9
+"""Smallest radius of such an outline, in radii of the given circle: a chrome sphere
+mirrors its surroundings as smaller circles."""
 
 
 @runtime_checkable
@@ -147,6 +156,8 @@ def place_sphere(crop: Crop, outline: Outline, kind: Kind, view: View) -> Placed
     eye = eye_error(outline[2])
     kept: Placed | None = None
     for size in (1, 2, 4):
+        if size > 1 and outline[2] < LARGE_ENOUGH * size:
+            break
         means = [block_means(image, size).mean(axis=-1) for image in crop.light]
         placed = _seen_near(np.stack(means), near / size, longer, kind)
         if placed.excess < EXCESS:
@@ -180,6 +191,7 @@ def _seen_near(
             other
             for other in find_circles(grey)
             if other.coverage >= SEEN_OF_BALL
+            and other.outline[2] > NESTED * circle[2]
             and np.abs(other.outline - circle).max() < AROUND * circle[2]
         ]
         if others:
