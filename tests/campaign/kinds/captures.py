@@ -228,4 +228,4 @@ def prepare(stock: Path) -> None:
     save_calibration(folder / NEAR_FILE, _calibration(near=True))
 
 
-KIND = Kind(make, prepare, seconds=60.0, megabytes=2500.0, share=0.5)
+KIND = Kind(make, prepare, seconds=180.0, megabytes=2500.0, share=0.5)
