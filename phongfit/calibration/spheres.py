@@ -138,9 +138,9 @@ def cut_out(
 
 
 def eye_error(radius: float) -> float:
-    """Standard deviation of a circle drawn by eye: 1 % of its radius, at least 1 pixel.
+    """Standard deviation of x, y and radius of a circle drawn by eye, in pixels.
 
-    That of x, y and radius, pixels.
+    It is 1 % of the radius, and at least a pixel.
     """
     return max(1.0, 0.01 * radius)
 

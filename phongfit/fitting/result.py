@@ -178,8 +178,8 @@ class Fit:
 
         The spread does not contain a lack of fit, which a simulation does not have.
         Beside a bound or with few samples it holds better than a standard error, which
-        comes from the linearised fit. The spread of an unknown that is not identified
-        depends on its bounds, and says nothing of its error.
+        comes from the linearised fit. For an unknown that is not identified the
+        spread depends on its bounds, and is no error.
 
         **Arguments:**
 

@@ -258,7 +258,7 @@ def test_images_of_a_store_of_any_name(maps, tmp_path):
 
 
 def test_an_image_of_one_pixel_and_its_normal_map(tmp_path):
-    """Which is no plane: its pixel may be outside."""
+    """It does not stand for a plane, and its pixel may be outside the surface."""
     camera = pf.OrthographicCamera(1, 1)
     lamp = pf.DirectionalLight((0, 0, 1))
     for normal, outside in ((1.0, False), (0.0, True)):

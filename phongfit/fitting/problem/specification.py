@@ -156,7 +156,7 @@ class Specification:
 
     @property
     def asks_as_usual(self) -> bool:
-        """Whether all options that concern the unknowns are the defaults."""
+        """True if all options of the unknowns have their defaults."""
         return not self.changed.keys() - {"film", "loss", "max_steps", "tolerance"}
 
     @property
