@@ -23,7 +23,7 @@ from phongfit.maps.materials.block import Given, fit_shared
 from phongfit.maps.materials.finding import Materials, choose_sample, find_materials
 from phongfit.maps.pixel.block import BLOCK, fit_tile, run
 from phongfit.maps.pixel.settings import MAP_PARAMETERS
-from phongfit.maps.result import WEIGHTS, Layer, Maps, ParameterMaps, layers_of
+from phongfit.maps.result import Layer, Maps, ParameterMaps, layers_of
 from phongfit.maps.stacks import as_index
 
 TILE_BYTES, CORE_BYTES, CPU_BYTES = 2**26, 2**24, 2**28
@@ -106,7 +106,7 @@ def fit_job(
     for name in known[: 1 if job.settings.normals == "fit" else 3]:
         layers.pop(name)
     if shared is not None:
-        layers[WEIGHTS] = Layer((len(shared.bases.shares),), 0)
+        layers["weights"] = Layer((len(shared.bases.shares),), 0)
     whole = {
         name: layer.full((job.geometry.mask.size,), job.outside.noise.dtype)
         for name, layer in layers.items()
@@ -190,7 +190,7 @@ def _maps_of(job: Job, arrays: dict[str, np.ndarray], shared: Materials | None) 
         maps["noise"] = maps["noise"] * given
     known = np.where(job.geometry.mask, 0, np.inf).astype(normals.dtype)
     maps.setdefault("normals_stderr", known)
-    weights = maps.pop(WEIGHTS, None)
+    weights = maps.pop("weights", None)
     return Maps(
         **maps,
         stderr=ParameterMaps(**errors),
