@@ -38,7 +38,7 @@ from phongfit.textures import Filter, Wrap
 TEXTURED = ("ambient", "diffuse", "specular", "shininess")
 """Parameters that may have a texture."""
 
-MAX_STEPS = 20
+MAX_STEPS = 30
 """Largest number of steps by default. Most fits need a few, each over all texels."""
 
 _DEFAULT = Specification(

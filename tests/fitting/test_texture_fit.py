@@ -4,11 +4,13 @@ import dataclasses
 import functools
 import weakref
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 import pytest
 
 import phongfit as pf
+from experiments.honesty.situations import captures
 from phongfit.fitting import texture_fit
 from phongfit.fitting.texels import equations, steps
 from phongfit.fitting.texels.job import RIDGE
@@ -90,6 +92,15 @@ def test_a_matte_surface_has_no_exponent(texel):
     assert hidden == (["specular"] if "shininess" in texel else ["shininess"])
     if "shininess" in texel:
         assert np.isinf(fit.stderr["shininess"]).all()
+
+
+def test_steps_of_an_exponent_do_not_go_to_and_fro():
+    """Two matte plates of which steps of log f alternated, and raised the cost."""
+    name = "the texture of a matte mesh"
+    rngs = [np.random.default_rng((0, crc32(name.encode()), draw)) for draw in (1, 5)]
+    answers = captures.texture(rngs)
+    for sentences in answers.warnings:
+        assert {pf.warning_code(words) for words in sentences} == {"no-highlight"}
 
 
 def test_images_without_noise():

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import phongfit as pf
+from phongfit.geometry import integration
 
 PARALLEL = pf.OrthographicCamera(40, 32)
 PINHOLE = pf.PerspectiveCamera.look_at((3, 2, 4), width=40, height=32, fov_y=35.0)
@@ -63,8 +64,13 @@ def flap(slope: float, size: int = 40) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("slope", [0.2, 0.5])
 @pytest.mark.parametrize("noise", [0, 0.02])
-def test_a_step_is_kept(slope, noise):
-    """Least squares alone smears it: by 0.5 and 1.2 pixels on average."""
+@pytest.mark.parametrize("most", [integration.FACTORED_PIXELS, 0])
+def test_a_step_is_kept(slope, noise, most, monkeypatch):
+    """Least squares alone smears it: by 0.5 and 1.2 pixels on average.
+
+    By a factorization, and as the largest images by conjugate gradients.
+    """
+    monkeypatch.setattr(integration, "FACTORED_PIXELS", most)
     normals, height = flap(slope)
     rng = np.random.default_rng(0)
     found = pf.geometry.integrate_normals(

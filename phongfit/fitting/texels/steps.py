@@ -11,7 +11,7 @@ complement for the shared numbers remains.
 
 import dataclasses
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -44,7 +44,7 @@ LEAST = 1e-7
 
 
 REACH = 1.0
-"""Largest change of a texel's log f in a step."""
+"""Largest change of log f in a step."""
 
 SETTLED = 0.05
 """A fit ends if the next change of texels' log f is smaller, in standard deviations,
@@ -106,6 +106,9 @@ def _scan(
         cost = np.full_like(cost, cost.sum()) if together else cost
         best, least = np.where(cost < least, f, best), np.minimum(cost, least)
     return best
+
+
+Reach: TypeAlias = float | np.ndarray
 
 
 class Equations(NamedTuple):
@@ -208,10 +211,12 @@ def step(
     sigma: float,
     nearest: bool = False,
     damping: np.ndarray | None = None,
+    reach: Reach = REACH,
 ) -> Stepped:
     """One Gauss–Newton step within the bounds.
 
-    **Arguments:** `damping`: added for each texel's exponent, relative to its diagonal.
+    **Arguments:** `damping`: added for each texel's exponent, relative to its diagonal;
+    `reach`: largest change of log f, or of each material's.
     """
     sums, right, free = linearise(job, state, sigma, nearest)
     information, few_right = sums.dense.copy(), sums.few_right.copy()
@@ -225,7 +230,7 @@ def step(
         eliminated.append(solved.astype(job.dtype, copy=False))
         del matrix
     information = (information + information.T) / 2
-    change = _few_change(job, state, information, few_right)
+    change = _few_change(job, state, information, few_right, reach)
     vectors = []
     for s, (own, move) in enumerate(zip(job.vectors(state), moves, strict=True)):
         # Large arrays must have the photographs' precision, or they would be copied.
@@ -295,39 +300,66 @@ def _information(job: Job, sums: Sums) -> Iterator[list[np.ndarray]]:
 
 
 def _few_change(
-    job: Job, state: State, information: np.ndarray, right: np.ndarray
+    job: Job,
+    state: State,
+    information: np.ndarray,
+    right: np.ndarray,
+    reach: Reach,
 ) -> np.ndarray:
-    """Step of the shared numbers; 0 for those that would leave a bound."""
+    """Step of the shared numbers; 0 for those that would leave a bound.
+
+    An exponent that would change by more than `reach` changes by `reach`, and the other
+    numbers make the best of that.
+    """
     free = np.diag(information) > 0
+    limits = np.full(len(job.few), np.inf)
+    materials = len(state.numbers["shininess"])
     for k, one in enumerate(job.few):
         value = state.value(one)
         low, high = EXPONENTS if one.name == "shininess" else (0.0, 1.0)
         if (value <= low and right[k] < 0) or (value >= high and right[k] > 0):
             free[k] = False
-    change = np.zeros(len(job.few))
-    at = np.flatnonzero(free)
+        if one.name == "shininess":
+            limits[k] = np.broadcast_to(reach, materials)[one.material]
+    change = _change_of(free, information, right)
+    far = np.abs(change) > limits
+    if far.any():
+        held = np.where(far, np.clip(change, -limits, limits), 0)
+        change = held + _change_of(free & ~far, information, right - information @ held)
+    return np.clip(change, -limits, limits)
+
+
+def _change_of(
+    free: np.ndarray, information: np.ndarray, right: np.ndarray
+) -> np.ndarray:
+    """Step of the numbers that are `free`, 0 for the others.
+
+    Combinations that the photographs do not determine keep their values.
+    """
+    change, at = np.zeros(len(free)), np.flatnonzero(free)
     if at.size:
         scale = np.sqrt(np.diag(information)[at])
         scaled = information[np.ix_(at, at)] / np.outer(scale, scale)
-        # Combinations that the photographs do not determine keep their values.
         inverse = np.linalg.pinv(scaled, rcond=LEAST, hermitian=True)
         change[at] = inverse @ (right[at] / scale) / scale
-    for k, one in enumerate(job.few):
-        if one.name == "shininess":
-            change[k] = np.clip(change[k], -1, 1)
     return change
 
 
 def solve(
     job: Job, state: State, sigma: float, noise_given: bool, max_steps: int
 ) -> tuple[State, float, System, bool, int]:
-    """Take steps until nothing changes, and estimate the noise after each one."""
+    """Take steps until nothing changes, and estimate the noise after each one.
+
+    Where the step of a shared exponent turns back, the next one is at most half as
+    long: without a clear highlight it would go to and fro.
+    """
     damping = np.zeros(job.grid.texels)
+    reach = last = np.full_like(state.numbers["shininess"], REACH)
 
     def following(state: State, damping: np.ndarray) -> tuple[Stepped, np.ndarray]:
         if "shininess" in job.names:
             return descend(job, state, sigma, damping)
-        return step(job, state, sigma), damping
+        return step(job, state, sigma, reach=reach), damping
 
     (state, left, taken, *_), damping = following(state, damping)
     cost, converged, steps = np.inf, False, 1
@@ -339,6 +371,10 @@ def solve(
         least = 1e-5 * max(now, left.counted * job.floor**2)
         same = abs(cost - now) < least if settled is None else settled
         converged = same and _moved(state, moved) < 1e-3
+        change = np.log(moved.numbers["shininess"] / state.numbers["shininess"])
+        turned = change * last < 0
+        reach = np.where(turned, np.abs(change) / 2, np.minimum(2 * reach, REACH))
+        last = change
         state, cost, steps = moved, now, steps + 1
     if not noise_given:
         sigma = _noise(job, left, taken, sigma)
