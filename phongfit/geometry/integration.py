@@ -240,9 +240,9 @@ def _least_squares(
 ) -> Float[np.ndarray, " pixels"]:
     """The numbers u that fit the pairs' steps best in weighted least squares.
 
-    By a sparse LU factorization. It would take too much memory for the largest images:
-    those are solved by conjugate gradients with algebraic multigrid, which is 3 to 10
-    times as slow, since the weights of neighbouring pairs differ by orders of
+    By a sparse LU factorization. For the largest images it would take too much memory.
+    They are solved by conjugate gradients with algebraic multigrid, which takes 4 to 30
+    times as long, since the weights of neighbouring pairs differ by orders of
     magnitude. `start` determines what the pairs do not: the mean of each piece.
     """
     # Imported here, since they take long to import.

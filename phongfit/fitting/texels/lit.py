@@ -180,7 +180,7 @@ def basis(
             is_leaf=lambda leaf: leaf is None,
         )
         shininess = np.ones(len(shininess))
-    found = _basis(pixels, jnp.asarray(np.log(shininess), dtype))
+    found = _basis(pixels, jnp.log(jnp.asarray(shininess, dtype)))
     return Basis(*(np.asarray(one) for one in found))
 
 

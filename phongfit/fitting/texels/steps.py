@@ -11,7 +11,7 @@ complement for the shared numbers remains.
 
 import dataclasses
 from collections.abc import Iterator
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
@@ -106,9 +106,6 @@ def _scan(
         cost = np.full_like(cost, cost.sum()) if together else cost
         best, least = np.where(cost < least, f, best), np.minimum(cost, least)
     return best
-
-
-Reach: TypeAlias = float | np.ndarray
 
 
 class Equations(NamedTuple):
@@ -211,7 +208,7 @@ def step(
     sigma: float,
     nearest: bool = False,
     damping: np.ndarray | None = None,
-    reach: Reach = REACH,
+    reach: float | np.ndarray = REACH,
 ) -> Stepped:
     """One Gauss–Newton step within the bounds.
 
@@ -304,7 +301,7 @@ def _few_change(
     state: State,
     information: np.ndarray,
     right: np.ndarray,
-    reach: Reach,
+    reach: float | np.ndarray,
 ) -> np.ndarray:
     """Step of the shared numbers; 0 for those that would leave a bound.
 
@@ -350,11 +347,12 @@ def solve(
 ) -> tuple[State, float, System, bool, int]:
     """Take steps until nothing changes, and estimate the noise after each one.
 
-    Where the step of a shared exponent turns back, the next one is at most half as
-    long: without a clear highlight it would go to and fro.
+    If a step of a shared exponent goes back on the one before, the next is at most
+    half as long. Otherwise, without a clear highlight, steps could alternate for ever.
     """
     damping = np.zeros(job.grid.texels)
-    reach = last = np.full_like(state.numbers["shininess"], REACH)
+    reach = np.full_like(state.numbers["shininess"], REACH)
+    last = np.zeros_like(reach)
 
     def following(state: State, damping: np.ndarray) -> tuple[Stepped, np.ndarray]:
         if "shininess" in job.names:
@@ -370,8 +368,10 @@ def solve(
         now = left.cost * sigma**2
         least = 1e-5 * max(now, left.counted * job.floor**2)
         same = abs(cost - now) < least if settled is None else settled
-        converged = same and _moved(state, moved) < 1e-3
-        change = np.log(moved.numbers["shininess"] / state.numbers["shininess"])
+        changes = _relative_changes(state, moved)
+        largest = max(float(abs(one).max()) for one in changes.values())
+        converged = same and largest < 1e-3
+        change = changes["shininess"]
         turned = change * last < 0
         reach = np.where(turned, np.abs(change) / 2, np.minimum(2 * reach, REACH))
         last = change
@@ -394,12 +394,12 @@ def _left_over(job: Job, state: State, sigma: float) -> tuple[ResidualSums, floa
     return sums.left, _freedom(job, sums.left, sum(taken))
 
 
-def _moved(one: State, other: State) -> float:
-    """Largest relative change of a material's parameter."""
-    return max(
-        float(abs(np.log(other.numbers[name] + 1e-3) - np.log(value + 1e-3)).max())
+def _relative_changes(one: State, other: State) -> dict[str, np.ndarray]:
+    """Changes of the logarithms of materials' parameters, by name; finite from 0 on."""
+    return {
+        name: np.log(other.numbers[name] + 1e-3) - np.log(value + 1e-3)
         for name, value in one.numbers.items()
-    )
+    }
 
 
 def _noise(job: Job, left: ResidualSums, taken: float, sigma: float) -> float:
