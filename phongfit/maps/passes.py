@@ -21,7 +21,7 @@ from phongfit.scene import Scene
 SAMPLE = 512
 """Maximum number of pixels from which the distance of a surface is estimated."""
 
-REACH, FINEST = 0.25, 1e-3
+REACH, FINEST = 0.25, 1e-4
 """Range and tolerance of the search for the surface's offset, in distances of the
 nearest lamp. The range is halved in each further pass."""
 
@@ -76,7 +76,8 @@ def find_offset(
     """Estimate how much nearer to the camera a surface is than `field`, world units.
 
     Normals do not determine it, near lamps do: the noise of `sample` is least at the
-    true offset.
+    true offset. Its geometric mean is compared, which is the likelihood of pixels that
+    each have their own level of noise.
 
     **Arguments:**
 
@@ -93,7 +94,7 @@ def find_offset(
 
     def noise(offset: float) -> float:
         found = fit(on_surface(scenes, field, sample, offset * near, shadows=False))
-        return float(np.nanmedian(found.noise))
+        return float(np.log(found.noise[found.noise > 0]).mean())
 
     places = np.linspace(-reach, reach, STEPS)
     levels = [noise(place) for place in places]

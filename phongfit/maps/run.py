@@ -134,7 +134,9 @@ def fit_maps(
     - `passes`: with `normals="fit"`, how often pixels are fitted; default 3 with near
         lamps, 2 with distant ones. Each pass after the first assumes that pixels lie on
         the surface of the last normals, moved to the depth at which near lamps give the
-        least noise, and leaves out samples in its shadow. `out` keeps the blocks of all
+        least noise, and leaves out samples in its shadow. Standard errors do not
+        contain the error of that depth: reflectances are too large by 2 % where a
+        surface is assumed 1 % too far from the lamps. `out` keeps the blocks of all
         passes.
     - `strengths`: with `normals="fit"`, strengths of the light of each image: `"given"`
         by the scenes' lights; `"fit"`: one factor on the lights of each image;
