@@ -32,7 +32,7 @@ from phongfit.fitting.problem.problem import Problem, evaluate
 from phongfit.fitting.problem.samples import Source
 from phongfit.fitting.solve.search import SearchResult
 from phongfit.fitting.solve.solution import solve
-from phongfit.fitting.solve.sums import Linearization, linearize
+from phongfit.fitting.solve.sums import Jacobian, Linearization, linearize
 from phongfit.programs import program
 from phongfit.rendering.film import Film, decode, encode
 from phongfit.rendering.jpeg import JpegCompression, compressed
@@ -277,7 +277,7 @@ class _Stage:
         self.residual = np.asarray(at.residual)
         # Derivative of a robust loss's score: near 0 for outliers.
         self.bend = np.asarray(problem.loss.score(at.residual)[1])
-        self.gram = np.asarray(self.jacobian.gram(), float)
+        self.gram = np.asarray(_gram(self.jacobian), float)
         priors = np.asarray(self.jacobian.priors, float)
         self.inverse = np.linalg.pinv(self.gram + priors.T @ priors, hermitian=True)
 
@@ -329,7 +329,7 @@ class _Stage:
         return residual - np.asarray(self.jacobian.change(taken))
 
     def _pull(self, residual: np.ndarray) -> Float[np.ndarray, " n"]:
-        pull = self.jacobian.pull(jnp.asarray(residual, self.y.dtype))
+        pull = _pull(self.jacobian, jnp.asarray(residual, self.y.dtype))
         return np.asarray(pull, float)
 
     def errors(
@@ -433,6 +433,19 @@ def _all_over(
 @program()
 def _look(problem: Problem, y: Float[Array, " n"]) -> tuple[Array, Linearization]:
     return problem.light(y), linearize(problem, y)
+
+
+# Outside of a program, sums of several images would be compiled again at each call.
+@program()
+def _gram(jacobian: Jacobian) -> Float[Array, "n n"]:
+    return jacobian.gram()
+
+
+@program()
+def _pull(
+    jacobian: Jacobian, residual: Float[Array, "3 samples"]
+) -> Float[Array, " n"]:
+    return jacobian.pull(residual)
 
 
 def _developed(
