@@ -1,9 +1,8 @@
 """Statistical tests of fractions, with limits that allow for the number of draws.
 
-A fraction fails if it is beyond its limit, and by more than sampling error explains: of
-intervals that hold as often as they should, one test in `1 / CHANCE` would fail. A
-campaign makes nearly a thousand tests, so less than one campaign in a hundred fails by
-chance.
+A fraction fails if it is beyond its limit by more than sampling error explains: if the
+true fraction were exactly at the limit, one test in `1 / CHANCE` would fail. A campaign
+makes nearly a thousand tests, so less than one campaign in a hundred fails by chance.
 """
 
 import numpy as np
@@ -29,15 +28,12 @@ def fraction(holds: np.ndarray, counted: np.ndarray | bool = True) -> float:
 
 
 def coverage_limits(
-    inside: Each,
-    counted: Each,
-    nominal: tuple[float, float],
-    expected: float = LEVEL,
+    inside: Each, counted: Each, nominal: tuple[float, float]
 ) -> tuple[float, float]:
     """Smallest and largest coverage that is no fault: `nominal`, widened for few draws.
 
     Coverage is the fraction of the counted 95 % intervals that contain the truth. The
-    limits are widened to the quantiles of a binomial fraction of mean `expected`.
+    limits are widened to the quantiles of a binomial fraction of mean 95 %.
 
     Parameters of one draw are correlated, so the number of independent intervals is
     estimated from the scatter between draws.
@@ -54,13 +50,13 @@ def coverage_limits(
         return 0.0, 1.0
     missed, each = (counted & ~inside).sum(axis=1), counted.sum(axis=1)
     rate = missed.sum() / count
-    variance = count * rate * (1 - rate)
+    expected = count * rate * (1 - rate)
     overdispersion = (
-        np.sum((missed - rate * each) ** 2) / variance if variance > 0 else 1.0
+        np.sum((missed - rate * each) ** 2) / expected if expected > 0 else 1.0
     )
     n_independent = max(int(count / max(overdispersion, 1.0)), 1)
-    low = float(binom.ppf(CHANCE, n_independent, expected)) / n_independent
-    high = float(binom.isf(CHANCE, n_independent, expected)) / n_independent
+    low = float(binom.ppf(CHANCE, n_independent, LEVEL)) / n_independent
+    high = float(binom.isf(CHANCE, n_independent, LEVEL)) / n_independent
     return min(nominal[0], low), max(nominal[1], high)
 
 

@@ -22,7 +22,7 @@ from typing import Literal
 
 import numpy as np
 
-from experiments.honesty.answers import LEVEL, Answers
+from experiments.honesty.answers import Answers
 from experiments.honesty.chance import Each, coverage_limits, fraction, too_many
 from experiments.honesty.marks import FAR, Marks, compare
 from experiments.honesty.words import count_doubts, unknown_warnings
@@ -40,7 +40,7 @@ RIGHT_KINDS = ("right", "open")
 # Range of the fraction of 95 % intervals that contain the truth: in general, and for
 # parameters beside another one that is on its bound.
 COVERAGE = (0.92, 0.98)
-BESIDE_BOUND = (0.8, 1.0)
+COVERAGE_BESIDE_BOUND = (0.8, 1.0)
 # Largest fraction of the draws of a right model that may have a warning about the fit.
 MAX_FALSE_ALARMS = 0.01
 # Largest fraction of draws that may mislead, or lack a warning that is required.
@@ -159,12 +159,12 @@ def _false_alarms(marks: Marks, kind: Kind) -> list[str]:
 def _short_intervals(labels: tuple[str, ...], marks: Marks) -> list[str]:
     """Faults of intervals that contain the truth too rarely."""
     faults = []
-    for where, counted, nominal, expected in (
-        ("", marks.trusted, COVERAGE, LEVEL),
-        ("beside bounds ", marks.beside_bound, BESIDE_BOUND, BESIDE_BOUND[0]),
+    for where, counted, nominal in (
+        ("", marks.trusted, COVERAGE),
+        ("beside bounds ", marks.beside_bound, COVERAGE_BESIDE_BOUND),
     ):
         coverage = fraction(marks.covered, counted)
-        if coverage < coverage_limits(marks.covered, counted, nominal, expected)[0]:
+        if coverage < coverage_limits(marks.covered, counted, nominal)[0]:
             faults.append(f"{where}{coverage:.1%} of the intervals hold the truth")
     low = [
         f"{label} {fraction(covered, counted):.0%}"

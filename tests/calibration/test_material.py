@@ -127,8 +127,7 @@ def test_errors_hold_over_captures(tmp_path_factory):
         pulls(tmp_path_factory.mktemp("capture"), 40 + seed, *capture)
         for seed, capture in enumerate(captures)
     ]
-    # 0.63 was measured: errors from JPEG files with uncertain lamps are too wide.
-    assert 0.6 < np.sqrt(np.mean(np.square(found))) < 1.3
+    assert 0.7 < np.sqrt(np.mean(np.square(found))) < 1.3
     # What is said of single channels holds too, not only on average.
     assert (np.sqrt(np.mean(np.square(found), axis=0)) < 1.6).all()
 
