@@ -1,8 +1,9 @@
 """Checks of the arguments of public functions, by their annotations.
 
 An argument of a wrong kind raises an error that names it, before any work is done.
-Traced arrays pass and nothing is converted, so `jit`, `vmap` and `grad` see the
-function unchanged. Arguments annotated with `Any` are checked by the function itself,
+Traced arrays pass unchanged, so `jit`, `vmap` and `grad` see the function as it is.
+NumPy's whole numbers become Python's where one number is wanted, since those of 8 bits
+overflow in sums. Arguments annotated with `Any` are checked by the function itself,
 with [`phongfit.checks`][].
 """
 
@@ -29,10 +30,16 @@ SHOWN = 60
 
 
 class Kind(NamedTuple):
-    """A kind of argument: its description, which completes "expected …", and a test."""
+    """A kind of argument.
+
+    - `words`: its description, which completes "expected …".
+    - `holds`: a test.
+    - `one_number`: whether one plain number is of this kind, so that it is no array.
+    """
 
     words: str
     holds: Callable[[Any], bool]
+    one_number: bool = False
 
 
 def checked(function: Callable[P, R]) -> Callable[P, R]:
@@ -134,7 +141,10 @@ class _Kinds:
         self._kinds: dict[str, Kind | None] | None = None
 
     def check(self, name: str, value: Any) -> Any:
-        """Check one argument, and return it: an iterator as a tuple, others unchanged.
+        """Check one argument, and return it, a few types converted.
+
+        Iterators become tuples, and NumPy's whole numbers Python's, unless the argument
+        is an array.
 
         **Raises:** `ValueError` that names the argument.
         """
@@ -149,6 +159,8 @@ class _Kinds:
             value = tuple(value)
         if not kind.holds(value):
             raise ValueError(f"{name}: expected {kind.words}, got {shown(value)}")
+        if kind.one_number and isinstance(value, np.integer):
+            return int(value)
         return value
 
 
@@ -210,8 +222,11 @@ def _any_of(parts: tuple[Any, ...]) -> Kind | None:
     known = [kind for kind in kinds if kind is not None]
     if len(known) < len(kinds):
         return None
-    words = _either([kind.words for kind in known])
-    return Kind(words, lambda value: any(kind.holds(value) for kind in known))
+    return Kind(
+        _either([kind.words for kind in known]),
+        lambda value: any(kind.holds(value) for kind in known),
+        any(kind.one_number for kind in known),
+    )
 
 
 def _either(words: list[str]) -> str:
@@ -330,7 +345,7 @@ _CALLABLE = typing.get_origin(Callable[[], None])
 _PLAIN: dict[Any, Kind] = {
     str: Kind("text", lambda value: isinstance(value, str)),
     bool: Kind("True or False", _is_flag),
-    int: Kind("a whole number of at most 64 bits", _is_whole),
-    float: Kind("a number", is_number),
+    int: Kind("a whole number of at most 64 bits", _is_whole, one_number=True),
+    float: Kind("a number", is_number, one_number=True),
     type: Kind("a class", lambda value: isinstance(value, type)),
 }

@@ -108,6 +108,17 @@ def test_the_function_is_called_as_before():
     assert example.__name__ == "example" and example.__doc__ == "An example."
 
 
+def test_numpy_numbers_do_not_overflow():
+    wide: Any = np.uint8(200)
+    count = example(SCENE, wide)[1]
+    assert type(count) is int and count + count == 400
+    assert type(wishing(SCENE, count=wide)[1]) is int
+    mesh = pf.geometry.tessellate(
+        lambda u, v: jnp.stack([u, v, u * v]), columns=wide, rows=2
+    )
+    assert mesh.faces.shape == (800, 3)
+
+
 @pytest.mark.parametrize(
     "args, words",
     [

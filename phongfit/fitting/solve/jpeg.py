@@ -266,7 +266,7 @@ class _Stage:
         y: Float[Array, " n"],
         plates: list[_Plate],
     ):
-        light, found = _look(problem, y)
+        light, found, gram = _look(problem, y)
         self.first, self.problem, self.y, self.plates = first, problem, y, plates
         self.light, self.jacobian, at = np.asarray(light), found.jacobian, found.at
         self.given_back = np.asarray(first.samples.target - problem.samples.target)
@@ -277,7 +277,7 @@ class _Stage:
         self.residual = np.asarray(at.residual)
         # Derivative of a robust loss's score: near 0 for outliers.
         self.bend = np.asarray(problem.loss.score(at.residual)[1])
-        self.gram = np.asarray(_gram(self.jacobian), float)
+        self.gram = np.asarray(gram, float)
         priors = np.asarray(self.jacobian.priors, float)
         self.inverse = np.linalg.pinv(self.gram + priors.T @ priors, hermitian=True)
 
@@ -326,7 +326,7 @@ class _Stage:
     def _left(self, residual: np.ndarray) -> Float[np.ndarray, "3 samples"]:
         """Residuals of a fit to such errors."""
         taken = jnp.asarray(self.inverse @ self._pull(residual), self.y.dtype)
-        return residual - np.asarray(self.jacobian.change(taken))
+        return residual - np.asarray(_change(self.jacobian, taken))
 
     def _pull(self, residual: np.ndarray) -> Float[np.ndarray, " n"]:
         pull = _pull(self.jacobian, jnp.asarray(residual, self.y.dtype))
@@ -431,21 +431,16 @@ def _all_over(
 
 
 @program()
-def _look(problem: Problem, y: Float[Array, " n"]) -> tuple[Array, Linearization]:
-    return problem.light(y), linearize(problem, y)
+def _look(
+    problem: Problem, y: Float[Array, " n"]
+) -> tuple[Array, Linearization, Array]:
+    r"""Light, its linearization, and $J^\top J$."""
+    found = linearize(problem, y)
+    return problem.light(y), found, found.jacobian.gram()
 
 
-# Outside of a program, sums of several images would be compiled again at each call.
-@program()
-def _gram(jacobian: Jacobian) -> Float[Array, "n n"]:
-    return jacobian.gram()
-
-
-@program()
-def _pull(
-    jacobian: Jacobian, residual: Float[Array, "3 samples"]
-) -> Float[Array, " n"]:
-    return jacobian.pull(residual)
+# Outside of a program, sums of several images would be compiled again at each draw.
+_pull, _change = program()(Jacobian.pull), program()(Jacobian.change)
 
 
 def _developed(

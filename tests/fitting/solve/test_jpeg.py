@@ -4,6 +4,7 @@ import dataclasses
 import functools
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -91,6 +92,26 @@ def test_images_have_films_of_their_own():
         pf.fit([SCENE, SCENE], images, film=films[:1])
     with pytest.raises(ValueError, match="film: expected one clamp"):
         pf.fit([SCENE, SCENE], images, film=[films[0], pf.Film(clamp=False)])
+
+
+@pytest.mark.extended
+def test_draws_of_several_images_compile_nothing_anew():
+    """Programs of each draw fill the memory of a process that fits many captures."""
+    scenes = [ball(size=size) for size in (24, 32)]
+    images = [jpeg_photograph(k, 95, scene) for k, scene in enumerate(scenes)]
+    compiled = []
+    jax.monitoring.register_event_duration_secs_listener(
+        lambda event, *_, **__: compiled.append(event) if "backend" in event else None
+    )
+    options: dict[str, Any] = {
+        "film": jpeg_film(95),
+        "unknowns": ("ambient", "diffuse", "specular", "shininess", "exposure"),
+        "fixed": {"exposure[0]": 1.0},
+    }
+    pf.fit(scenes, images, **options)
+    first = len(compiled)
+    pf.fit(scenes, images, **options)
+    assert first and len(compiled) == first
 
 
 @pytest.mark.slow
