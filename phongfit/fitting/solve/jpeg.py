@@ -401,6 +401,11 @@ class _Stage:
         An encoder may round in another way, and the surroundings are estimated. Each
         channel takes the correction of each channel in turn, since it may be small in
         one by chance.
+
+        Half of it is not enough for one photograph of quality 75 whose colour is on a
+        coarser grid: intervals of the blue reflectance contain the truth in 72 % of
+        draws (`python -m experiments.honesty --only "its film known" --draws 40`).
+        The whole makes errors of six photographs 1.6 times too large.
         """
         turns = [np.roll(lost / self.deviation, k, axis=0) for k in range(3)]
         pulls = [self._pull(self.bend * one) for one in turns]

@@ -80,7 +80,7 @@ async function draw() {
       const since = moved;
       moved = null;
       await drawOnce();
-      $("#answered").textContent = `${Math.round(performance.now() - since)} ms`;
+      $("#answered").textContent = `· ${Math.round(performance.now() - since)} ms`;
     }
     if (!$("#problem").hidden && $("#problem").dataset.of === "picture") report("");
   } catch (error) {
