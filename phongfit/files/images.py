@@ -1,11 +1,12 @@
 """Images on disk: read as linear light, written in a stated encoding."""
 
+import contextlib
 import functools
 import os
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -41,8 +42,6 @@ from phongfit.rendering.film import (
     encode,
 )
 from phongfit.rendering.jpeg import JpegCompression
-
-T = TypeVar("T")
 
 SUFFIXES = (*READERS, *RAW)
 """Suffixes of files from which images are read."""
@@ -303,8 +302,13 @@ def with_jpeg(film: Film, path: Path) -> Film:
     """
     if not film.clamp or not _is_jpeg(path):
         return film
-    jpeg, size, metadata = _decoded(path, _jpeg_head)
-    turned = _turned(jpeg, size, metadata.orientation)
+    data = read_bytes(path)
+    with _decoding(path):
+        with opened_jpeg(data) as image:
+            size = image.size
+        jpeg = jpeg_compression(data)
+        orientation = read_metadata(data, path).orientation
+    turned = _turned(jpeg, size, orientation)
     if turned is None:
         warn(
             "jpeg-turned",
@@ -315,12 +319,6 @@ def with_jpeg(film: Film, path: Path) -> Film:
         )
         return Film(encoding=film.encoding, bits=8)
     return Film(encoding=film.encoding, jpeg=turned)
-
-
-def _jpeg_head(data: bytes) -> tuple[JpegCompression, tuple[int, int], Metadata]:
-    with opened_jpeg(data) as image:
-        size = image.size
-    return jpeg_compression(data), size, read_metadata(data, Path())
 
 
 def _turned(
@@ -487,14 +485,12 @@ def read_texels(data: bytes, path: Path, encoding: NamedEncoding) -> Texels:
 
     **Raises:** `ValueError` that names `path`.
     """
-
-    def decode(data: bytes) -> np.ndarray:
+    with _decoding(path):
         format = format_of(data, path, TEXTURE_READERS)
         if format not in TEXTURE_READERS:
             raise Refused(_wanted_suffix(path, TEXTURE_READERS))
-        return _one_image(TEXTURE_READERS[format](data, path, _room(data, None)))
-
-    numbers, alpha = _decoded(path, decode, data), None
+        numbers = _one_image(TEXTURE_READERS[format](data, path, _room(data, None)))
+    alpha = None
     if numbers.shape[-1] in (2, 4):
         alpha = (numbers[..., -1:] / _highest(numbers)).astype(_float_type())
         numbers = numbers[..., :-1]
@@ -526,9 +522,8 @@ def read_head(path: Path) -> Head:
 
     **Raises:** `ValueError` that names the file.
     """
-    _check_suffix(path)
-
-    def head(data: bytes) -> Head:
+    data = _bytes_of_image(path)
+    with _decoding(path):
         if format_of(data, path) in RAW:
             return Head(*read_raw_head(data, path))
         metadata = read_metadata(data, path)
@@ -538,8 +533,6 @@ def read_head(path: Path) -> Head:
         fov = metadata.lens.fov(width, height)
         turned = metadata.orientation != 1
         return Head((width, height), metadata.exposure, None, fov, turned)
-
-    return _decoded(path, head)
 
 
 class _Sized(Exception):
@@ -575,20 +568,15 @@ class _Numbers(NamedTuple):
 
 
 def _read_numbers(path: Path, max_pixels: int | None = None) -> _Numbers:
-    _check_suffix(path)
-
-    def decode(data: bytes) -> _Numbers:
+    data = _bytes_of_image(path)
+    with _decoding(path):
         room, format = _room(data, max_pixels), format_of(data, path)
         if format in RAW:
             raw = read_raw(data, path, room)
             metadata = Metadata(exposure=raw.exposure)
             return _Numbers(raw.numbers, raw.usable, metadata, "RAW photographs")
         values = _one_image(READERS[format](data, path, room))
-        usable = np.ones(values.shape[:2], bool)
-        return _Numbers(values, usable, read_metadata(data, path), "")
-
-    read = _decoded(path, decode)
-    values, metadata = read.values, read.metadata
+        metadata = read_metadata(data, path)
     if metadata.broken:
         warn(
             "exif-broken",
@@ -596,13 +584,13 @@ def _read_numbers(path: Path, max_pixels: int | None = None) -> _Numbers:
             "upright, and its exposure as unknown",
             stacklevel=4,
         )
+    linear = ""
     if values.dtype.kind == "f":
-        read = read._replace(linear="floating-point images")
+        linear = "floating-point images"
     elif metadata.gamma is not None and abs(metadata.gamma - 1) < 0.01:
-        read = read._replace(linear="PNGs whose gAMA chunk is 1")
-    return read._replace(
-        values=metadata.upright(values), usable=metadata.upright(read.usable)
-    )
+        linear = "PNGs whose gAMA chunk is 1"
+    values = metadata.upright(values)
+    return _Numbers(values, np.ones(values.shape[:2], bool), metadata, linear)
 
 
 def _one_image(numbers: np.ndarray) -> np.ndarray:
@@ -626,9 +614,10 @@ def _highest(numbers: np.ndarray) -> int:
     return 1 if numbers.dtype.kind == "f" else np.iinfo(numbers.dtype).max
 
 
-def _check_suffix(path: Path) -> None:
+def _bytes_of_image(path: Path) -> bytes:
     if path.suffix.lower() not in SUFFIXES:
         raise ValueError(f"{path}: {_wanted_suffix(path, SUFFIXES)}")
+    return read_bytes(path)
 
 
 def _room(data: bytes, max_pixels: int | None) -> Room:
@@ -653,11 +642,11 @@ def _room(data: bytes, max_pixels: int | None) -> Room:
     return ask
 
 
-def _decoded(path: Path, decode: Callable[[bytes], T], data: bytes | None = None) -> T:
-    """Decode a file's bytes, `data` if they are known; errors name the file."""
-    data = read_bytes(path) if data is None else data
+@contextlib.contextmanager
+def _decoding(path: Path) -> Iterator[None]:
+    """Make errors of decoders name the file."""
     try:
-        return decode(data)
+        yield
     except Refused as error:
         raise ValueError(f"{path}: {error}") from None
     except MemoryError:
