@@ -136,6 +136,14 @@ def joined_lines(data: bytes) -> Iterator[tuple[int, str]]:
         yield number, " ".join(pieces)
 
 
+def floats(words: Sequence[str]) -> list[float]:
+    """Words as numbers; an empty list if one of them is no number."""
+    try:
+        return [float(word) for word in words]
+    except ValueError:
+        return []
+
+
 def uncommented(words: list[str]) -> list[str]:
     """The words before one that starts with #."""
     for k, word in enumerate(words):

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from phongfit.checks import as_array
 from phongfit.codes import warn
 from phongfit.edge import checked, shown
-from phongfit.files.inputs import naming, read_text
+from phongfit.files.inputs import floats, naming, read_text
 from phongfit.files.matching import base_name, match_names
 from phongfit.files.outputs import replacing
 
@@ -115,10 +115,7 @@ def _count(line: str) -> int:
 
 def _light(line: str) -> tuple[str, Float[np.ndarray, "3"]]:
     words = line.rsplit(maxsplit=3)
-    try:
-        vector = np.array([float(word.replace(",", ".")) for word in words[1:]])
-    except ValueError:
-        vector = np.zeros(0)
+    vector = np.array(floats([word.replace(",", ".") for word in words[1:]]))
     if len(words) != 4 or vector.shape != (3,) or not np.isfinite(vector).all():
         raise ValueError(f"expected a name and three numbers, got {line[:60]!r}")
     if not vector.any():

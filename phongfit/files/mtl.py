@@ -16,6 +16,7 @@ from phongfit.codes import warn
 from phongfit.edge import checked
 from phongfit.files.inputs import (
     beside,
+    floats,
     joined_lines,
     listed,
     naming,
@@ -219,23 +220,15 @@ def _texture_line(
             continue
         least, most, _ = OPTIONS[word.lower()]
         end = at + least
-        while end < min(len(words), at + most) and _is_number(words[end]):
+        while end < min(len(words), at + most) and floats([words[end]]):
             end += 1
         options[word.lower()], at = words[at:end], end
     return TextureLine(number, material, key, " ".join(file), options)
 
 
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
-
-
 def _as_numbers(words: list[str]) -> str:
     """Words in the notation of [`OPTIONS`][], such as 1 for 1.000."""
-    return " ".join(f"{float(k):g}" if _is_number(k) else k.lower() for k in words)
+    return " ".join(f"{float(k):g}" if floats([k]) else k.lower() for k in words)
 
 
 def _is_usual(key: str, words: list[str]) -> bool:
@@ -247,10 +240,7 @@ def _is_usual(key: str, words: list[str]) -> bool:
 
 def _numbers(key: str, words: list[str]) -> Any:
     wanted = (1, 3) if key in COLOURS else (1,)
-    try:
-        numbers = [float(word) for word in words]
-    except ValueError:
-        numbers = []
+    numbers = floats(words)
     if len(numbers) not in wanted or not np.isfinite(numbers).all() or min(numbers) < 0:
         count = "1 or 3 numbers" if key in COLOURS else "1 number"
         raise ValueError(f"{key}: expected {count} ≥ 0, got {' '.join(words)[:60]!r}")

@@ -17,6 +17,7 @@ from phongfit.files.inputs import (
     LISTED,
     Note,
     beside,
+    floats,
     joined_lines,
     naming,
     read_bytes,
@@ -108,10 +109,7 @@ class _Content:
 
 
 def _floats(key: str, words: list[str], least: int) -> list[float]:
-    try:
-        numbers = [float(word) for word in words]
-    except ValueError:
-        numbers = []
+    numbers = floats(words)
     if len(numbers) < least or not all(map(math.isfinite, numbers[:least])):
         wanted = f"{least} finite numbers" if least > 1 else "finite numbers"
         raise ValueError(f"{key}: expected {wanted}, got {_shown(words)}")

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from phongfit.files.budget import afford
-from phongfit.files.inputs import Note, joined_lines, read_bytes, uncommented
+from phongfit.files.inputs import Note, floats, joined_lines, read_bytes, uncommented
 from phongfit.files.mesh_parts import (
     UNNAMED,
     MeshPart,
@@ -84,10 +84,7 @@ def _vertices(lines: Lines, count: int, least: int) -> np.ndarray:
     numbers, width = array("d"), 0
     for _ in range(count):
         number, words = next(lines)
-        try:
-            row = [float(word) for word in words]
-        except ValueError:
-            row = []
+        row = floats(words)
         width = width or len(row)
         if len(row) < least or len(row) != width:
             wanted = f"{max(width, least)} numbers"
