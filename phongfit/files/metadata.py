@@ -174,7 +174,7 @@ def _of_exif(exif: bytes | None, profile: bytes | None) -> Metadata:
         orientation = directory.whole(_ORIENTATION, 1)
         camera = directory.below(_EXIF)
         exposure, lens = _exposure(camera), _lens(camera)
-        if profile is None and camera is not None and _is_adobe(camera):
+        if profile is None and _is_adobe(camera):
             profile = adobe_profile()
     except (ValueError, struct.error) as error:
         return Metadata(profile=profile, broken=str(error))
@@ -187,13 +187,11 @@ def _is_adobe(exif: Directory) -> bool:
     colours = exif.whole(_COLOURS)
     if colours != _UNCALIBRATED:
         return colours == _ADOBE
-    rules = exif.below(_INTEROPERABILITY)
-    return rules is not None and (rules.content(_RULES) or b"").startswith(b"R03")
+    rules = exif.below(_INTEROPERABILITY).content(_RULES) or b""
+    return rules.startswith(b"R03")
 
 
-def _exposure(exif: Directory | None) -> Exposure:
-    if exif is None:
-        return Exposure()
+def _exposure(exif: Directory) -> Exposure:
     iso = exif.whole(_ISO)
     if iso == _FULL:
         iso = max(exif.whole(tag) for tag in _MORE_ISO) or iso
@@ -202,9 +200,7 @@ def _exposure(exif: Directory | None) -> Exposure:
     return Exposure(*(value if value and value > 0 else None for value in values))
 
 
-def _lens(exif: Directory | None) -> Lens:
-    if exif is None:
-        return Lens()
+def _lens(exif: Directory) -> Lens:
     focal, density = exif.ratio(_FOCAL), exif.ratio(_DENSITY)
     unit = _UNITS.get(exif.whole(_DENSITY_UNIT, 2))
     pixels = None

@@ -62,10 +62,12 @@ class Directory(NamedTuple):
             raise ValueError(f"tag {tag} lies beyond the end of the file")
         return self.data[at : at + count]
 
-    def below(self, tag: int) -> "Directory | None":
-        """The directory that a tag points to."""
+    def below(self, tag: int) -> "Directory":
+        """The directory that a tag points to; an empty one without the tag."""
         start = self.whole(tag)
-        return _directory(self.data, self.order, self.offset, start) if start else None
+        if not start:
+            return self._replace(entries={})
+        return _directory(self.data, self.order, self.offset, start)
 
     def others(self) -> "Iterator[Directory]":
         """The directories of the next pictures in the file, at most 64."""
