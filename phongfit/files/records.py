@@ -54,20 +54,15 @@ def complain(text: str) -> PydanticCustomError:
     return PydanticCustomError("phongfit", "{text}", {"text": text})
 
 
-def _as_three(value: Any) -> Any:
-    if not isinstance(value, list | tuple) or len(value) != 3:
-        raise complain(f"expected three numbers, got {shorten(value)}")
-    return tuple(value)
+def _three(what: str) -> BeforeValidator:
+    """A validator that makes a tuple of three items."""
 
+    def as_tuple(value: Any) -> Any:
+        if not isinstance(value, list | tuple) or len(value) != 3:
+            raise complain(f"expected three {what}, got {shorten(value)}")
+        return tuple(value)
 
-def _as_rows(value: Any) -> Any:
-    if not isinstance(value, list | tuple) or len(value) != 3:
-        raise complain(f"expected three rows, got {shorten(value)}")
-    return tuple(value)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    return BeforeValidator(as_tuple)
 
 
 def _as_colour(value: Any) -> Any:
@@ -76,17 +71,17 @@ def _as_colour(value: Any) -> Any:
 
 
 def _as_leaf(value: Any) -> Any:
-    if _is_number(value):
+    if isinstance(value, int | float) and not isinstance(value, bool):
         return (value,)
     if isinstance(value, list | tuple) and len(value) in (1, 3):
         return tuple(value)
     raise complain(f"expected one number or three, got {shorten(value)}")
 
 
-Vector = Annotated[tuple[float, float, float], BeforeValidator(_as_three)]
+Vector = Annotated[tuple[float, float, float], _three("numbers")]
 """Three numbers."""
 
-Matrix = Annotated[tuple[Vector, Vector, Vector], BeforeValidator(_as_rows)]
+Matrix = Annotated[tuple[Vector, Vector, Vector], _three("rows")]
 """Three rows of three numbers."""
 
 Colour = Annotated[tuple[float, float, float], BeforeValidator(_as_colour)]

@@ -1,5 +1,6 @@
 """Untrusted JSON, parsed in linear time and within limits."""
 
+import collections
 import json
 import math
 from typing import Any
@@ -30,11 +31,13 @@ def parse_json(text: str | bytes) -> Any:
             parse_constant=_refuse_constant,
             parse_int=_integer,
         )
+        _check_depth(data)
     except RecursionError:
-        raise _too_deep() from None
+        raise ValueError(
+            f"is nested too deeply, expected at most {MAX_DEPTH} levels"
+        ) from None
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"is no JSON: {error}") from None
-    _check_depth(data)
     return data
 
 
@@ -52,13 +55,11 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(pairs) > MAX_KEYS:
         raise ValueError(f"expected at most {MAX_KEYS} keys, got {len(pairs)}")
     if len(record) != len(pairs):
-        seen: set[str] = set()
-        for key, _ in pairs:
-            if key in seen:
-                raise ValueError(
-                    f"expected each key once in an object, got {shorten(key)} twice"
-                )
-            seen.add(key)
+        counts = collections.Counter(key for key, _ in pairs)
+        (key, _), *_ = counts.most_common(1)
+        raise ValueError(
+            f"expected each key once in an object, got {shorten(key)} twice"
+        )
     return record
 
 
@@ -72,11 +73,8 @@ def _integer(digits: str) -> int:
     return int(digits)
 
 
-def _too_deep() -> ValueError:
-    return ValueError(f"is nested too deeply, expected at most {MAX_DEPTH} levels")
-
-
 def _check_depth(data: Any) -> None:
+    """Raise `RecursionError` for data of more than `MAX_DEPTH` levels."""
     level = [data]
     for _ in range(MAX_DEPTH):
         level = [
@@ -88,7 +86,7 @@ def _check_depth(data: Any) -> None:
         ]
         if not level:
             return
-    raise _too_deep()
+    raise RecursionError
 
 
 def shorten(value: Any) -> str:
