@@ -4,7 +4,6 @@ import dataclasses
 import math
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -83,25 +82,17 @@ def as_blinn(material: Material, model: AbstractSpecular) -> Material:
             return dataclasses.replace(material, shininess=shininess)
         case BlinnPhong(normalized=True):
             lobe = (material.shininess + 2) / (2 * math.pi)
-            specular, lobe = jnp.broadcast_arrays(*_same_rank(material.specular, lobe))
+            specular = np.asarray(material.specular) * np.asarray(lobe)
             return dataclasses.replace(
-                material, diffuse=material.diffuse / math.pi, specular=specular * lobe
+                material, diffuse=material.diffuse / math.pi, specular=specular
             )
         case BlinnPhong():
             return material
         case GGX() | Ward():
             exponent = 2 / model.alpha_squared(material.shininess) - 2
             peak = model.peak(material.shininess)
-            specular, peak = jnp.broadcast_arrays(*_same_rank(material.specular, peak))
-            return dataclasses.replace(
-                material, specular=specular * peak, shininess=jnp.asarray(exponent)
-            )
+            specular = np.asarray(material.specular) * np.asarray(peak)
+            return dataclasses.replace(material, specular=specular, shininess=exponent)
     raise ValueError(
         "model: expected Phong, BlinnPhong, GGX or Ward, got " + type(model).__name__
     )
-
-
-def _same_rank(*leaves: Float[Array, "..."]) -> list[Float[Array, "..."]]:
-    """Arrays with leading axes of 1, so that all have the same rank."""
-    rank = max(leaf.ndim for leaf in leaves)
-    return [leaf.reshape((1,) * (rank - leaf.ndim) + leaf.shape) for leaf in leaves]
