@@ -82,23 +82,19 @@ def triangulate(
     return Triangles(corner[order], polygon[order])
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def _is_fan(rings: Float[np.ndarray, "polygons n 3"]) -> Bool[np.ndarray, " polygons"]:
     """True for polygons that contain all triangles of the fan from the first corner."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        to_corner = rings[:, 1:] - rings[:, :1]
-        areas = np.cross(to_corner[:, :-1], to_corner[:, 1:])
-        whole = areas.sum(axis=1, keepdims=True)
-        along = (areas * whole).sum(axis=-1)
-        return (along > -SLACK * (whole**2).sum(axis=-1)).all(axis=1)
+    to_corner = rings[:, 1:] - rings[:, :1]
+    areas = np.cross(to_corner[:, :-1], to_corner[:, 1:])
+    whole = areas.sum(axis=1, keepdims=True)
+    along = (areas * whole).sum(axis=-1)
+    return (along > -SLACK * (whole**2).sum(axis=-1)).all(axis=1)
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def _ears(ring: Float[np.ndarray, "n 3"]) -> tuple[Int[np.ndarray, "t 3"], bool]:
     """Triangles of one polygon, and true if they cover it exactly."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        return _ears_of(ring)
-
-
-def _ears_of(ring: Float[np.ndarray, "n 3"]) -> tuple[Int[np.ndarray, "t 3"], bool]:
     axes = _plane(ring)
     flat = ring[:, axes] - ring[0, axes]
     ears = mapbox_earcut.triangulate_float64(flat, np.array([len(flat)], np.uint32))
