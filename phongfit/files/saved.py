@@ -59,9 +59,20 @@ def load_fit(path: str | os.PathLike[str]) -> Fit:
     **Raises:** `ValueError` that names the file, what was expected and what was got:
     another version of the format, or the other floating-point precision.
     """
-    found = read_packed(Path(path), header(), _REMEDIES)
-    if not isinstance(found, Fit):
-        raise ValueError(f"{path}: expected a Fit, got a {type(found).__name__}")
+    data = read_bytes(Path(path))
+    with naming(str(path)):
+        try:
+            arrays = unpack(data)
+            structure = parse_json(arrays[STRUCTURE].tobytes())
+            _check_header({name: structure[name] for name in header()})
+            found = _Unpacker(arrays).unpack(structure["value"])
+        except (ValueError, MemoryError):
+            raise
+        except Exception as error:
+            # Broken or handmade files can raise nearly any exception.
+            raise ValueError("is no file that Fit.save has written") from error
+        if not isinstance(found, Fit):
+            raise ValueError(f"expected a Fit, got a {type(found).__name__}")
     return found
 
 
@@ -91,35 +102,10 @@ def write_packed(path: Path, header: dict[str, Any], value: Any) -> None:
         )
 
 
-def read_packed(path: Path, header: dict[str, Any], remedies: dict[str, str]) -> Any:
-    """Read the value from a file.
-
-    **Arguments:** `header`: expected entries; `remedies`: advice for entries that
-    differ.
-
-    **Raises:** `ValueError` that names the file: it is missing, broken, of another
-    kind or version, or holds unknown classes.
-    """
-    data = read_bytes(path)
-    with naming(str(path)):
-        try:
-            arrays = unpack(data)
-            structure = parse_json(arrays[STRUCTURE].tobytes())
-            _check_header({name: structure[name] for name in header}, header, remedies)
-            return _Unpacker(arrays).unpack(structure["value"])
-        except (ValueError, MemoryError):
-            raise
-        except Exception as error:
-            # Broken or handmade files can raise nearly any exception.
-            raise ValueError("is no file that Fit.save has written") from error
-
-
-def _check_header(
-    found: dict[str, Any], header: dict[str, Any], remedies: dict[str, str]
-) -> None:
-    for name, wanted in header.items():
+def _check_header(found: dict[str, Any]) -> None:
+    for name, wanted in header().items():
         if found[name] != wanted:
-            remedy = f"; {remedies[name]}" if name in remedies else ""
+            remedy = f"; {_REMEDIES[name]}" if name in _REMEDIES else ""
             got = shorten(found[name]).strip('"')
             raise ValueError(f"{name}: expected {wanted}, got {got}{remedy}")
 
