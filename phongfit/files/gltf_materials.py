@@ -127,7 +127,6 @@ class GltfShade(NamedTuple):
     - `multiplied`: the parameters that each attribute of vertices multiplies.
     """
 
-    name: str | None
     shaded: Shaded
     placing: Placing | None
     multiplied: Mapping[str, tuple[str, ...]]
@@ -205,7 +204,7 @@ class Shading:
             exact = vars(own).items()
             self._leaves |= {k: v for k, v in exact if k not in self._textures}
         shaded = Shaded(Material(**self._leaves), Textures(**self._textures))
-        return GltfShade(name, shaded, self._placing, multiplied)
+        return GltfShade(shaded, self._placing, multiplied)
 
     def _metallic(self, material: Record, own: Material | None) -> bool:
         """Read metallic and roughness; true for metals."""

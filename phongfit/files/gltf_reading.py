@@ -224,13 +224,11 @@ class _Reader:
         if "indices" in primitive:
             corners = self._indices(primitive["indices"], count)
         faces = _triangles(corners, primitive.get("mode", TRIANGLES))
-        shade = None
-        if "material" in primitive:
-            shade = self._shade(primitive["material"])
+        shade = self._shade(primitive.get("material"))
         normals = self._attribute(left, "NORMAL", "VEC3", count=count)
         uv = self._uv(left, shade, count)
         colours = self._colours(left, shade, count)
-        if shade is None or shade.shaded.textures.normal is None:
+        if shade.shaded.textures.normal is None:
             # Only normal maps need tangents, and phongfit computes them from the uv.
             left.pop("TANGENT", None)
         self.unused |= dict.fromkeys(f"attributes.{name[:60]}" for name in left)
@@ -244,12 +242,11 @@ class _Reader:
         if turn < 0:
             # A reflection reverses the order of the corners.
             faces = faces[:, ::-1]
-        bare = white() if colours else Shaded()
         part = MeshPart(
             place,
             faces,
             UNNAMED,
-            bare if shade is None else shade.shaded,
+            white() if colours and "material" not in primitive else shade.shaded,
             None if normals is None or flat else normals @ np.linalg.inv(linear),
             None if uv is None else uv[faces],
             colours,
@@ -262,7 +259,9 @@ class _Reader:
             normals=np.repeat(triangle_normals(place[faces]), 3, axis=0)
         )
 
-    def _shade(self, number: int) -> GltfShade:
+    def _shade(self, number: int | None) -> GltfShade:
+        if number is None:
+            return GltfShade(Shaded(), None, COLOUR_0)
         material = at(self._file, "materials", number, "material")
         if number not in self.shades:
             with _reading(f"materials[{number}]"):
@@ -270,10 +269,10 @@ class _Reader:
         return self.shades[number]
 
     def _uv(
-        self, left: dict[str, int], shade: GltfShade | None, count: int
+        self, left: dict[str, int], shade: GltfShade, count: int
     ) -> np.ndarray | None:
         """The transformed uv of a part's textures; without textures, its first set."""
-        placing = None if shade is None else shade.placing
+        placing = shade.placing
         name = f"TEXCOORD_{0 if placing is None else placing.uv_set}"
         uv = self._attribute(left, name, "VEC2", count=count)
         if placing is None:
@@ -283,12 +282,11 @@ class _Reader:
         return placing.of(uv)
 
     def _colours(
-        self, left: dict[str, int], shade: GltfShade | None, count: int
+        self, left: dict[str, int], shade: GltfShade, count: int
     ) -> dict[str, np.ndarray]:
         """Rows for a part's vertices, by the parameter that they multiply."""
         found: dict[str, np.ndarray] = {}
-        multiplied = COLOUR_0 if shade is None else shade.multiplied
-        for name, leaves in multiplied.items():
+        for name, leaves in shade.multiplied.items():
             rows = self._attribute(left, name, "VEC3", "VEC4", count=count)
             if rows is None:
                 continue
@@ -297,7 +295,7 @@ class _Reader:
                     f"attributes.{name}: expected colours ≥ 0, got {rows.min():g}"
                 )
             for leaf in leaves:
-                if shade and getattr(shade.shaded.textures, leaf) is not None:
+                if getattr(shade.shaded.textures, leaf) is not None:
                     self.unused[f"attributes.{name} where there is a texture"] = None
                 else:
                     found[leaf] = rows[:, :3]
