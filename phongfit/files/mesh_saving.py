@@ -67,7 +67,7 @@ class _Own(NamedTuple):
         """
         if values is None:
             texture = getattr(self.textures, name)
-            values = _scaled(texture).values
+            values = _scaled(texture)
             if name == "normal":
                 values = (np.asarray(texture.values, float) + 1) / 2
         encoding = "linear" if name in ("normal", "shininess") else "srgb"
@@ -180,17 +180,14 @@ def _apart(mesh: Mesh, material: Material, names: Sequence[str] | None) -> list[
     ]
 
 
-class _Scaled(NamedTuple):
-    """A texture scaled to a largest value of 1, and its factor."""
-
-    values: np.ndarray
-    factor: float
+def _factor(texture: AbstractTexture) -> float:
+    """The largest value of a texture."""
+    return max(float(np.max(texture.values)), 1e-12)
 
 
-def _scaled(texture: AbstractTexture) -> _Scaled:
-    values = np.asarray(texture.values, float)
-    factor = max(float(values.max()), 1e-12)
-    return _Scaled(values / factor, factor)
+def _scaled(texture: AbstractTexture) -> np.ndarray:
+    """Values of a texture, scaled to a largest value of 1."""
+    return np.asarray(texture.values, float) / _factor(texture)
 
 
 def _multiplied(own: _Own, names: Iterable[str]) -> Material:
@@ -199,7 +196,7 @@ def _multiplied(own: _Own, names: Iterable[str]) -> Material:
     for name in names:
         texture = getattr(own.textures, name)
         if texture is not None:
-            leaves[name] = np.asarray(leaves[name], float) * _scaled(texture).factor
+            leaves[name] = np.asarray(leaves[name], float) * _factor(texture)
     return Material(**leaves)
 
 
@@ -234,7 +231,7 @@ def _flattened(own: _Own, nearest: bool) -> _Own:
 
 def _rows(colours: VertexColours) -> np.ndarray:
     """Colours of vertices, (V, 3), scaled to a largest value of 1."""
-    values = _scaled(colours).values
+    values = _scaled(colours)
     return np.broadcast_to(values, (len(values), 3))
 
 
@@ -432,7 +429,7 @@ def _gltf_material(own: _Own, nearest: bool) -> dict[str, Any]:
         lost("ambient: glTF has no texture of it", nearest)
     f: Any = exponent(material, np.inf, "glTF", nearest)
     if textures.shininess is not None:
-        f = f * _scaled(textures.shininess).values
+        f = f * _scaled(textures.shininess)
         # Roughness is green; red is unused; blue is metallic.
         pbr["metallicRoughnessTexture"] = picture("shininess", roughness(f) * [0, 1, 0])
         pbr["roughnessFactor"] = 1.0
