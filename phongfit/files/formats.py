@@ -43,8 +43,7 @@ PNG_START, JPEG_START = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
 JPEG_END = b"\xff\xd9"
 
 
-def _read_png(data: bytes, path: Path, room: Room) -> np.ndarray:
-    del path
+def _read_png(data: bytes, _path: Path, room: Room) -> np.ndarray:
     if data[:8] != PNG_START:
         raise ValueError("it does not start as a PNG does")
     width, height, depth, colour = struct.unpack(">IIBB", data[16:26])
@@ -83,8 +82,7 @@ def opened_jpeg(data: bytes) -> Iterator[ImageFile.ImageFile]:
             yield image
 
 
-def _read_jpeg(data: bytes, path: Path, room: Room) -> np.ndarray:
-    del path
+def _read_jpeg(data: bytes, _path: Path, room: Room) -> np.ndarray:
     with opened_jpeg(data) as image:
         if image.mode not in ("L", "RGB"):
             raise Refused(f"expected RGB or grey, got {image.mode}")
@@ -117,8 +115,7 @@ def jpeg_compression(data: bytes) -> JpegCompression:
     )
 
 
-def _read_tiff(data: bytes, path: Path, room: Room) -> np.ndarray:
-    del path
+def _read_tiff(data: bytes, _path: Path, room: Room) -> np.ndarray:
     tags = first_directory(data)
     if tags.whole(_SUBFILE) & _SMALLER:
         raise Refused(
@@ -165,8 +162,7 @@ _WIDTH, _HEIGHT, _BITS, _PHOTOMETRIC, _CHANNELS, _PLANES = 256, 257, 258, 262, 2
 _TILE_WIDTH, _TILE_HEIGHT, _IMAGE_DEPTH = 322, 323, 32997
 
 
-def _read_hdr(data: bytes, path: Path, room: Room) -> np.ndarray:
-    del path
+def _read_hdr(data: bytes, _path: Path, room: Room) -> np.ndarray:
     header = radiance_header(data)
     size = re.match(rb"\s*-Y (\d{1,9}) \+X (\d{1,9})\n", data[len(header) :])
     if not data.startswith(b"#?") or size is None:
@@ -368,9 +364,8 @@ def _write_exr(path: Path, numbers: np.ndarray) -> None:
         raise OSError(errno.EIO, str(error).rpartition('". ')[2]) from error
 
 
-def _read_picture(data: bytes, path: Path, room: Room) -> np.ndarray:
+def _read_picture(data: bytes, _path: Path, room: Room) -> np.ndarray:
     """Grey, RGB or RGBA numbers of a picture, from palettes and CMYK as well."""
-    del path
     known = ["BMP", "GIF", "JPEG", "TGA", "WEBP"]
     with Image.open(io.BytesIO(data), formats=known) as image:
         # Pillow holds four bytes a pixel, before and after it changes the mode.
