@@ -355,21 +355,17 @@ def write_json(path: str | os.PathLike[str], data: Any) -> None:
 
 def _layout(value: Any, indent: int) -> str:
     line = json.dumps(value, ensure_ascii=False, allow_nan=False)
-    nested = isinstance(value, dict) or (
-        isinstance(value, list) and any(isinstance(item, dict) for item in value)
-    )
     if not value or not isinstance(value, dict | list):
         return line
+    nested = isinstance(value, dict) or any(isinstance(item, dict) for item in value)
     if not nested and indent + len(line) <= LINE_WIDTH:
         return line
-    inner = " " * (indent + 2)
     if isinstance(value, dict):
         items = [
-            f"{inner}{json.dumps(key, ensure_ascii=False)}: {_layout(item, indent + 2)}"
+            f"{json.dumps(key, ensure_ascii=False)}: {_layout(item, indent + 2)}"
             for key, item in value.items()
         ]
-        opening, closing = "{", "}"
     else:
-        items = [inner + _layout(item, indent + 2) for item in value]
-        opening, closing = "[", "]"
-    return f"{opening}\n" + ",\n".join(items) + f"\n{' ' * indent}{closing}"
+        items = [_layout(item, indent + 2) for item in value]
+    inner = "\n" + " " * (indent + 2)
+    return f"{line[0]}{inner}{f',{inner}'.join(items)}\n{' ' * indent}{line[-1]}"
