@@ -123,21 +123,16 @@ def _find(folder: Path) -> Path | None:
 def _camera(image: _Image, known: Intrinsics) -> PinholeCamera:
     if image.camera not in known:
         raise ValueError(f"expected one of the model's cameras, got {image.camera}")
-    return camera_from_extrinsics(
-        _rotation(image.quaternion), np.array(image.translation), **known[image.camera]
-    )
-
-
-def _rotation(quaternion: tuple[float, ...]) -> np.ndarray:
-    """Rotation matrix of a quaternion w, x, y, z of any length except 0."""
-    length = np.linalg.norm(quaternion)
+    length = np.linalg.norm(image.quaternion)
     if not np.isfinite(length) or length < 1e-6:
-        raise ValueError(f"expected a quaternion, got {list(quaternion)}")
+        raise ValueError(f"expected a quaternion, got {list(image.quaternion)}")
     # Imported here, since SciPy's transforms take long to import.
     from scipy.spatial.transform import Rotation
 
-    w, *across = quaternion
-    return Rotation.from_quat([*across, w]).as_matrix()
+    rotation = Rotation.from_quat(image.quaternion, scalar_first=True).as_matrix()
+    return camera_from_extrinsics(
+        rotation, np.array(image.translation), **known[image.camera]
+    )
 
 
 def _intrinsics(name: str, width: int, height: int, values: Any) -> dict[str, Any]:
