@@ -371,14 +371,11 @@ def check_fit(record: FitRecord) -> None:
     **Raises:** `ValueError` that names the field.
     """
     count = len(record.labels)
-    for name in ("values", "errors", "at_bound", "unidentified", "tied", "bounds"):
-        length = len(getattr(record, name))
-        if length != count:
-            raise ValueError(f"{name}: expected {count}, one a label, got {length}")
-    if record.intervals is not None and len(record.intervals) != count:
-        raise ValueError(
-            f"intervals: expected {count}, one a label, got {len(record.intervals)}"
-        )
+    names = ("values", "errors", "at_bound", "unidentified", "tied", "bounds")
+    for name in (*names, "intervals"):
+        given = getattr(record, name)
+        if given is not None and len(given) != count:
+            raise ValueError(f"{name}: expected {count}, one a label, got {len(given)}")
     rows = [len(row) for row in record.covariance]
     if rows != [count] * count:
         raise ValueError(f"covariance: expected {count} rows of {count} numbers")
