@@ -82,7 +82,15 @@ def open_diligent(
     used = inside_mask & (vectors[..., 2] > min_facing)
 
     def read(number: int) -> Photograph:
-        image, known = _read_photograph(folder, names[number], inside_mask.shape)
+        with naming(f"{folder / 'filenames.txt'}"):
+            path = inside(folder, names[number])
+        photo = read_light(path, "linear")
+        if photo.usable.shape != inside_mask.shape:
+            raise ValueError(
+                f"{path}: expected {inside_mask.shape} pixels, as mask.png has, got "
+                f"{photo.usable.shape}"
+            )
+        image, known = photo.image, photo.usable
         direction = directions[number]
         cosine = vectors @ (direction / np.linalg.norm(direction))
         # Mask before the division, which makes white differ between channels.
@@ -142,17 +150,3 @@ def _read_surface(folder: Path, mask: Bool[np.ndarray, "height width"]) -> Norma
     except Exception as error:
         # A broken file makes this reader raise nearly anything.
         raise ValueError(f"{path}: {reason(error)}") from error
-
-
-def _read_photograph(
-    folder: Path, name: str, size: tuple[int, ...]
-) -> tuple[Float[np.ndarray, "height width 3"], Bool[np.ndarray, "height width"]]:
-    """Light of a photograph, and a mask of usable pixels."""
-    with naming(f"{folder / 'filenames.txt'}"):
-        path = inside(folder, name)
-    light = read_light(path, "linear")
-    if light.usable.shape != size:
-        raise ValueError(
-            f"{path}: expected {size} pixels, as mask.png has, got {light.usable.shape}"
-        )
-    return light.image, light.usable

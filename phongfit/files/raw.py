@@ -78,10 +78,9 @@ def read_raw_head(
     """
     with _opened(data, path) as raw:
         sizes = raw.sizes
+        size = sizes.width, sizes.height
         # In LibRaw's flip, the bit of value 4 exchanges rows and columns.
-        size = (sizes.height, sizes.width) if sizes.flip & 4 else (
-            sizes.width, sizes.height
-        )  # fmt: skip
+        size = size[::-1] if sizes.flip & 4 else size
         return size, _exposure(raw), _white_balance(raw)
 
 
