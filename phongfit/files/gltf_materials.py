@@ -37,7 +37,7 @@ from phongfit.files.inputs import naming_field, shortened
 from phongfit.files.mtl_textures import Shaded
 from phongfit.files.records import validated
 from phongfit.files.schema import MaterialRecord
-from phongfit.files.strict_json import shorten
+from phongfit.files.strict_json import unexpected
 from phongfit.material import Material
 from phongfit.rendering.film import NamedEncoding
 from phongfit.textures import Texture, Textures
@@ -56,13 +56,11 @@ def at(file: Record, items: str, number: Any, what: str) -> Record:
     """
     found = file.get(items, [])
     if not isinstance(found, list):
-        raise ValueError(f"{items}: expected a list, got {shorten(found)}")
+        raise unexpected(items, "a list", found)
     if not isinstance(number, int) or not 0 <= number < len(found):
-        got = shorten(number)
-        raise ValueError(f"{what}: expected a number below {len(found)}, got {got}")
+        raise unexpected(what, f"a number below {len(found)}", number)
     if not isinstance(item := found[number], dict):
-        got = shorten(item)
-        raise ValueError(f"{items}[{number}]: expected an object {{…}}, got {got}")
+        raise unexpected(f"{items}[{number}]", "an object {…}", item)
     return item
 
 
@@ -70,8 +68,7 @@ def whole(record: Record, name: str, default: int | None = None) -> int:
     """A count or an offset; `default` if it is not stated, else it is required."""
     value = record.get(name, default)
     if not isinstance(value, int) or value < 0:
-        got = shorten(value)
-        raise ValueError(f"{name}: expected a whole number ≥ 0, got {got}")
+        raise unexpected(name, "a whole number ≥ 0", value)
     return value
 
 
@@ -79,10 +76,9 @@ def vector(record: Record, name: str, default: Sequence[float]) -> np.ndarray:
     """A list of numbers, as many as `default` has, which it is if it is not stated."""
     value = record.get(name, list(default))
     if not isinstance(value, list) or len(value) != len(default):
-        got = shorten(value)
-        raise ValueError(f"{name}: expected {len(default)} numbers, got {got}")
+        raise unexpected(name, f"{len(default)} numbers", value)
     if not all(isinstance(x, int | float) and math.isfinite(x) for x in value):
-        raise ValueError(f"{name}: expected finite numbers, got {shorten(value)}")
+        raise unexpected(name, "finite numbers", value)
     return np.array(value, float)
 
 
@@ -92,8 +88,7 @@ def _number(
     """A number in a range, usually a factor from 0 to 1."""
     value = record.get(name, default)
     if not isinstance(value, int | float) or not least <= value <= most:
-        got = shorten(value)
-        raise ValueError(f"{name}: expected {least:g} to {most:g}, got {got}")
+        raise unexpected(name, f"{least:g} to {most:g}", value)
     return float(value)
 
 
@@ -171,7 +166,7 @@ class Shading:
         """
         name, extensions = material.get("name"), material.get("extensions", {})
         if not isinstance(name, str | None):
-            raise ValueError(f"name: expected a text, got {shorten(name)}")
+            raise unexpected("name", "a text", name)
         self._name = "a material" if name is None else f"material {name[:60]!r}"
         self._placing, self._leaves, self._textures = None, {}, {}
         own, multiplied = _own(material), COLOUR_0

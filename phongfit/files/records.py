@@ -17,7 +17,7 @@ from pydantic import (
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from phongfit.files.inputs import naming, read_text
-from phongfit.files.strict_json import parse_json, shorten
+from phongfit.files.strict_json import parse_json, shorten, unexpected
 
 MOST = 10_000
 """Maximum length of a list, such as of lights or images."""
@@ -147,7 +147,7 @@ def read_one_of(
         format = data.get("format") if isinstance(data, dict) else None
         if not isinstance(format, str) or format not in kinds:
             wanted = " or ".join(repr(name) for name in kinds)
-            raise ValueError(f"format: expected {wanted}, got {shorten(format)}")
+            raise unexpected("format", wanted, format)
         return validated(data, kinds[format], path.parent)
 
 

@@ -26,7 +26,7 @@ from phongfit.files.schema import (
     TruthRecord,
     describe_material,
 )
-from phongfit.files.strict_json import shorten
+from phongfit.files.strict_json import unexpected
 from phongfit.geometry.cameras import AbstractCamera
 from phongfit.geometry.surfaces import NormalMap
 from phongfit.material import Material
@@ -265,10 +265,7 @@ def with_lights(scene: Scene, on: Sequence[int] | None) -> Scene:
     """
     count = len(scene.lights)
     if on is not None and (len(set(on)) != len(on) or not set(on) <= set(range(count))):
-        raise ValueError(
-            f"lights: expected different numbers from 0 to {count - 1}, got "
-            f"{shorten(list(on))}"
-        )
+        raise unexpected("lights", f"different numbers from 0 to {count - 1}", list(on))
     width, height = scene.camera.width, scene.camera.height
     shining = count if on is None else len(on)
     with naming("lights"):

@@ -94,5 +94,10 @@ def shorten(value: Any) -> str:
     return _cut(json.dumps(value, ensure_ascii=False, default=repr))
 
 
+def unexpected(name: str, wanted: str, value: Any) -> ValueError:
+    """An error that names the key of a value, what was expected and the value."""
+    return ValueError(f"{name}: expected {wanted}, got {shorten(value)}")
+
+
 def _cut(text: str) -> str:
     return text if len(text) <= 60 else text[:57] + "…"

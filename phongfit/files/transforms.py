@@ -17,7 +17,7 @@ from phongfit.files.budget import afford
 from phongfit.files.colmap import CAMERA
 from phongfit.files.images import SUFFIXES, read_head
 from phongfit.files.inputs import beside, inside, listed, naming, read_text
-from phongfit.files.strict_json import parse_json, shorten
+from phongfit.files.strict_json import parse_json, shorten, unexpected
 from phongfit.geometry.cameras import PinholeCamera
 from phongfit.geometry.conventions import camera_pose
 from phongfit.geometry.distortion import (
@@ -83,18 +83,16 @@ def _checked(common: Frame, frame: Any) -> Frame:
         value = merged.get(key, 0)
         number = isinstance(value, int | float) and not isinstance(value, bool)
         if not number or not math.isfinite(value):
-            raise ValueError(f"{key}: expected a number, got {shorten(value)}")
+            raise unexpected(key, "a number", value)
     if not isinstance(fisheye := merged.get("is_fisheye", False), bool):
-        raise ValueError(f"is_fisheye: expected true or false, got {shorten(fisheye)}")
+        raise unexpected("is_fisheye", "true or false", fisheye)
     name = merged.get("file_path")
     if not isinstance(name, str) or not PureWindowsPath(name).name:
         raise ValueError("file_path: expected a file's name")
     rows = merged.get("transform_matrix")
     matrix = np.array(rows if isinstance(rows, list) else 0, dtype=object)
     if matrix.shape not in ((3, 4), (4, 4)):
-        raise ValueError(
-            f"transform_matrix: expected four rows of four numbers, got {shorten(rows)}"
-        )
+        raise unexpected("transform_matrix", "four rows of four numbers", rows)
     return merged
 
 
@@ -158,10 +156,7 @@ def _focal(frame: Frame, width: int, height: int) -> Mapping[str, float]:
 def _distortion(frame: Frame) -> AbstractDistortion | None:
     model = frame.get("camera_model")
     if model is not None and model not in MODELS:
-        wanted = ", ".join(MODELS)
-        raise ValueError(
-            f"camera_model: expected one of {wanted}, got {shorten(model)}"
-        )
+        raise unexpected("camera_model", f"one of {', '.join(MODELS)}", model)
     k1, k2, k3, k4, p1, p2 = (float(frame.get(key, 0)) for key in DISTORTION)
     if frame.get("is_fisheye") or model == "OPENCV_FISHEYE":
         if p1 or p2:
