@@ -196,15 +196,14 @@ def _multiplied(own: _Own, names: Iterable[str]) -> Material:
     for name in names:
         texture = getattr(own.textures, name)
         if texture is not None:
-            leaves[name] = np.asarray(leaves[name], float) * _factor(texture)
+            leaves[name] = leaves[name] * _factor(texture)
     return Material(**leaves)
 
 
-def _leaves(material: Material) -> dict[str, Any]:
-    return {
-        name: leaf[0] if leaf.shape == (1,) else leaf
-        for name, leaf in vars(material).items()
-    }
+def _leaves(material: Material) -> dict[str, np.ndarray]:
+    """The parameters of one material, of shape () or (3,)."""
+    leaves = vars(material).items()
+    return {name: np.asarray(leaf, float).squeeze() for name, leaf in leaves}
 
 
 def _flattened(own: _Own, nearest: bool) -> _Own:
@@ -221,9 +220,7 @@ def _flattened(own: _Own, nearest: bool) -> _Own:
             continue
         lost(f"{name}: the format has no colours of vertices for it", nearest)
         mean = np.asarray(colours.values, float).mean(axis=0)
-        leaves[name] = np.asarray(leaves[name], float) * (
-            mean[0] if len(mean) == 1 else mean
-        )
+        leaves[name] = leaves[name] * mean.squeeze()
         none[name] = None
     textures = dataclasses.replace(own.textures, **none)
     return own._replace(material=Material(**leaves), textures=textures)
@@ -326,10 +323,7 @@ def _write_ply(path: Path, mesh: Mesh, own: list[_Own], nearest: bool) -> None:
     """Write a PLY with ρ_d as colours of vertices, the only material in this format."""
     own, diffuse = [_flattened(one, nearest) for one in own], []
     for one in own:
-        material = _multiplied(one, one.textures.at_vertices)
-        leaves = {
-            name: np.asarray(leaf, float) for name, leaf in _leaves(material).items()
-        }
+        leaves = _leaves(_multiplied(one, one.textures.at_vertices))
         for name in ("specular", "emission"):
             if leaves[name].any():
                 lost(f"{name}: PLY has colours of vertices alone, of ρ_d", nearest)
