@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from phongfit.edge import shown
 
@@ -72,7 +72,7 @@ def as_vector(name: str, value: Any) -> Float[Array, "3"]:
     array = as_floats(name, value)
     if array.shape != (3,):
         raise ValueError(f"{name}: expected shape (3,), got {array.shape}")
-    return require(name, array, np.isfinite, jnp.isfinite, "finite numbers")
+    return require(name, array, finite, "finite numbers")
 
 
 def as_scalar(name: str, value: Any) -> Float[Array, ""]:
@@ -80,17 +80,14 @@ def as_scalar(name: str, value: Any) -> Float[Array, ""]:
     array = as_floats(name, value)
     if array.shape != ():
         raise ValueError(f"{name}: expected one number, got shape {array.shape}")
-    return require(name, array, np.isfinite, jnp.isfinite, "a finite number")
+    return require(name, array, finite, "a finite number")
 
 
 def as_positive(name: str, value: Any, below: float = np.inf) -> Float[Array, ""]:
     """`value` as one finite number > 0 and < `below`; `ValueError` names `name`."""
-
-    def inside(a: Any) -> Any:
-        return (a > 0) & (a < below)
-
     wanted = "a number > 0" + (f" and < {below:g}" if below < np.inf else "")
-    return require(name, as_scalar(name, value), inside, inside, wanted)
+    scalar = as_scalar(name, value)
+    return require(name, scalar, lambda a: (a > 0) & (a < below), wanted)
 
 
 def as_light(name: str, value: Any) -> Float[Array, "3"]:
@@ -204,11 +201,8 @@ def as_function(name: str, value: Any) -> Any:
 
 def at_least(name: str, array: Array, lowest: float) -> Array:
     """Return `array` if it is finite and ≥ `lowest`; else an error names `name`."""
-
-    def fine(xp: Any) -> Callable[[Any], Any]:
-        return lambda a: xp.isfinite(a) & (a >= lowest)
-
-    return require(name, array, fine(np), fine(jnp), f"finite numbers ≥ {lowest:g}")
+    wanted = f"finite numbers ≥ {lowest:g}"
+    return require(name, array, lambda a: finite(a) & (a >= lowest), wanted)
 
 
 def nonzero(name: str, vector: Float[Array, "3"]) -> Float[Array, "3"]:
@@ -224,7 +218,13 @@ def nonzero(name: str, vector: Float[Array, "3"]) -> Float[Array, "3"]:
 
     wanted = "a vector that is not zero, nor too short or too long to square"
     with np.errstate(over="ignore", under="ignore"):
-        return require(name, vector, fine, fine, wanted)
+        return require(name, vector, fine, wanted)
+
+
+def finite(values: Any) -> Any:
+    """Whether each number of an array of NumPy or JAX is finite."""
+    # `jnp.isfinite` would compile a program for known values.
+    return abs(values) < np.inf
 
 
 def untraced(instead: str, **arguments: Any) -> None:
@@ -253,22 +253,22 @@ def is_traced(value: Any) -> bool:
 def require(
     name: str,
     array: Array,
-    known: Callable[[np.ndarray], Any],
-    traced: Callable[[Array], Bool[Array, "..."]],
+    test: Callable[[Any], Any],
     wanted: str,
 ) -> Array:
     """Return `array`, or raise an error that begins with `name` if the test fails.
 
     **Arguments:**
 
-    - `known`: the test for arrays with known values; in NumPy, so nothing is compiled.
-    - `traced`: the test for arrays inside `jit`; its error comes when the program runs.
+    - `test`: gets known values as an array of NumPy, so that nothing is compiled, and
+        traced ones, inside `jit`, as they are: there the error comes when the program
+        runs. It returns true, or an array of true, for valid values.
     - `wanted`: completes "expected …".
     """
     if isinstance(array, Tracer):
-        return eqx.error_if(array, ~traced(array), f"{name}: expected {wanted}")
+        return eqx.error_if(array, ~test(array), f"{name}: expected {wanted}")
     values = np.asarray(array)
-    if not np.all(known(values)):
+    if not np.all(test(values)):
         shown = np.array2string(values, threshold=6, precision=6)
         raise ValueError(f"{name}: expected {wanted}, got {shown}")
     return array

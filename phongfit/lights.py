@@ -11,7 +11,6 @@ from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from phongfit.checks import (
@@ -20,6 +19,7 @@ from phongfit.checks import (
     as_scalar,
     as_vector,
     at_least,
+    finite,
     nonzero,
     require,
 )
@@ -170,11 +170,8 @@ class DirectionalLight(AbstractLight):
 def _as_attenuation(value: Any) -> Vec3:
     """`value` as three attenuation coefficients ≥ 0, not all 0; else `ValueError`."""
     attenuation = at_least("attenuation", as_vector("attenuation", value), 0)
-
-    def some(a: Any) -> Any:
-        return (a > 0).any()
-
-    return require("attenuation", attenuation, some, some, "one coefficient above 0")
+    wanted = "one coefficient above 0"
+    return require("attenuation", attenuation, lambda a: (a > 0).any(), wanted)
 
 
 def _attenuation(coefficients: Vec3, distance: Scalar) -> Scalar:
@@ -272,12 +269,9 @@ class SpotLight(AbstractLight):
         """
         self.position = as_vector("position", position)
         self.axis = nonzero("axis", as_vector("axis", axis))
-
-        def inside(angle: Any) -> Any:
-            return (angle > 0) & (angle <= 90)
-
+        angle = as_scalar("cutoff", cutoff)
         self.cutoff = require(
-            "cutoff", as_scalar("cutoff", cutoff), inside, inside, "degrees in (0, 90]"
+            "cutoff", angle, lambda a: (a > 0) & (a <= 90), "degrees in (0, 90]"
         )
         self.exponent = at_least("exponent", as_scalar("exponent", exponent), 0)
         self.intensity = as_light("intensity", intensity)
@@ -348,9 +342,7 @@ class HarmonicLight(AbstractLight):
                 f"coefficients: expected shape (9,) or (9, 3), got {array.shape}"
             )
         array = jnp.broadcast_to(array.reshape(9, -1), (9, 3))
-        self.coefficients = require(
-            "coefficients", array, np.isfinite, jnp.isfinite, "finite numbers"
-        )
+        self.coefficients = require("coefficients", array, finite, "finite numbers")
 
     def illuminate(self, position: Vec3) -> Illumination:
         none = jnp.zeros_like(position)

@@ -238,9 +238,6 @@ def _as_roughness(name: str, value: Any) -> Scalar:
 
 def _between(name: str, value: Any, low: float) -> Scalar:
     """`value` as one number from `low` to 1; else a `ValueError` that names `name`."""
-
-    def fine(a: Any) -> Any:
-        return (a >= low) & (a <= 1)
-
     wanted = f"a number from {low:g} to 1"
-    return require(name, as_scalar(name, value), fine, fine, wanted)
+    scalar = as_scalar(name, value)
+    return require(name, scalar, lambda a: (a >= low) & (a <= 1), wanted)

@@ -14,10 +14,9 @@ from typing import Any, Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int
 
-from phongfit.checks import as_floats, require
+from phongfit.checks import as_floats, finite, require
 from phongfit.edge import checked
 
 Filter = Literal["bilinear", "nearest"]
@@ -133,7 +132,7 @@ def _as_values(values: Any, places: str) -> Array:
         raise ValueError(
             f"values: expected shape ({places}, 3) or ({places}, 1), got {values.shape}"
         )
-    return require("values", values, np.isfinite, jnp.isfinite, "finite numbers")
+    return require("values", values, finite, "finite numbers")
 
 
 def texels(
@@ -218,11 +217,7 @@ class Textures(eqx.Module):
                     f"{texture.values.shape}"
                 )
             if name != "normal":
-
-                def fine(a: Any) -> Any:
-                    return a >= 0
-
-                require(name, texture.values, fine, fine, "numbers ≥ 0")
+                require(name, texture.values, lambda a: a >= 0, "numbers ≥ 0")
 
     @property
     def at_vertices(self) -> dict[str, VertexColours]:

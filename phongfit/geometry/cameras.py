@@ -128,15 +128,14 @@ def _as_rotation(value: Any) -> Float[Array, "3 3"]:
     if rotation.shape != (3, 3):
         raise ValueError(f"rotation: expected shape (3, 3), got {rotation.shape}")
 
-    def fine(xp: Any) -> Callable[[Any], Any]:
+    def fine(r: Any) -> Any:
+        xp = np if isinstance(r, np.ndarray) else jnp
+        orthonormal = abs(r.T @ r - np.eye(3, dtype=r.dtype)) < 1e-4
         # x × y = z excludes reflections, which would swap left and right.
-        return lambda r: (
-            (abs(r.T @ r - np.eye(3, dtype=r.dtype)) < 1e-4).all()
-            & (abs(xp.cross(r[:, 0], r[:, 1]) - r[:, 2]) < 1e-3).all()
-        )
+        right_handed = abs(xp.cross(r[:, 0], r[:, 1]) - r[:, 2]) < 1e-3
+        return orthonormal.all() & right_handed.all()
 
-    wanted = "orthonormal, right-handed axes"
-    return require("rotation", rotation, fine(np), fine(jnp), wanted)
+    return require("rotation", rotation, fine, "orthonormal, right-handed axes")
 
 
 @checked
@@ -151,19 +150,11 @@ def look_at(position: Any, target: Any, up: Any = (0, 1, 0)) -> Float[Array, "3 
     the view.
     """
     back = as_vector("position", position) - as_vector("target", target)
-
-    def apart(a: Any) -> Any:
-        return (a != 0).any()
-
-    back = require("position", back, apart, apart, "a point other than target")
-    back = normalize(back)
+    wanted = "a point other than target"
+    back = normalize(require("position", back, lambda a: (a != 0).any(), wanted))
     right = jnp.cross(normalize(nonzero("up", as_vector("up", up))), back)
-
-    def aslant(a: Any) -> Any:
-        return abs(a).max() > 1e-6
-
-    right = require("up", right, aslant, aslant, "a direction not along the view")
-    right = normalize(right)
+    wanted = "a direction not along the view"
+    right = normalize(require("up", right, lambda a: abs(a).max() > 1e-6, wanted))
     return jnp.stack([right, jnp.cross(back, right), back], axis=1)
 
 

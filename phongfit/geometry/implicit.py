@@ -51,12 +51,9 @@ class ImplicitSurface(AbstractSurface):
         self.function = as_function("function", function)
         self.lower = as_vector("lower", lower)
         self.upper = as_vector("upper", upper)
-
-        def positive(a: Any) -> Any:
-            return a > 0
-
         size = self.upper - self.lower
-        require("upper", size, positive, positive, "a corner above lower on each axis")
+        wanted = "a corner above lower on each axis"
+        require("upper", size, lambda a: a > 0, wanted)
         self.steps = steps
 
     @checked

@@ -17,6 +17,7 @@ from phongfit.checks import (
     as_indices,
     as_integers,
     as_scalar,
+    finite,
     require,
 )
 from phongfit.codes import warn
@@ -142,14 +143,14 @@ class Mesh(AbstractSurface):
         faces = as_integers("faces", faces, 0, len(vertices))
         if faces.ndim != 2 or faces.shape[1] != 3:
             raise ValueError(f"faces: expected shape (F, 3), got {faces.shape}")
-        require("vertices", vertices, np.isfinite, jnp.isfinite, "finite numbers")
+        require("vertices", vertices, finite, "finite numbers")
         if normals is not None:
             normals = as_floats("normals", normals)
             if normals.shape != vertices.shape:
                 raise ValueError(
                     f"normals: expected shape {vertices.shape}, got {normals.shape}"
                 )
-            require("normals", normals, np.isfinite, jnp.isfinite, "finite numbers")
+            require("normals", normals, finite, "finite numbers")
             normals = normalize_all(normals)
         given_count, source_vertex = len(vertices), None
         if crease_angle is not None:
@@ -273,7 +274,7 @@ def _as_uv(value: Any, faces: int) -> Float[Array, "faces 3 2"] | None:
     uv = as_floats("uv", value)
     if uv.shape != (faces, 3, 2):
         raise ValueError(f"uv: expected shape ({faces}, 3, 2), got {uv.shape}")
-    return require("uv", uv, np.isfinite, jnp.isfinite, "finite numbers")
+    return require("uv", uv, finite, "finite numbers")
 
 
 def _as_textures(

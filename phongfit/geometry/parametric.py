@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from phongfit.checks import as_floats, require
+from phongfit.checks import as_floats, finite, require
 from phongfit.edge import checked
 from phongfit.geometry.grids import grid_faces
 from phongfit.geometry.meshes import Mesh
@@ -123,7 +123,7 @@ def _as_range(name: str, ends: Any) -> Float[Array, "2"]:
     ends = as_floats(name, ends)
     if ends.shape != (2,):
         raise ValueError(f"{name}: expected shape (first, last), got {ends.shape}")
-    return require(name, ends, np.isfinite, jnp.isfinite, "finite numbers")
+    return require(name, ends, finite, "finite numbers")
 
 
 def _check_steps(name: str, count: int) -> None:

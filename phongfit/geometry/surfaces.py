@@ -10,7 +10,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from phongfit.checks import as_floats, as_indices, as_positive, as_vector, require
+from phongfit.checks import (
+    as_floats,
+    as_indices,
+    as_positive,
+    as_vector,
+    finite,
+    require,
+)
 from phongfit.edge import checked
 from phongfit.geometry.cameras import AbstractCamera, Ray
 from phongfit.geometry.grids import triangles
@@ -244,13 +251,10 @@ class NormalMap(AbstractSurface):
                     f"positions: expected shape {normals.shape}, got {positions.shape}"
                 )
 
-        def finite(a: Any) -> Any:
-            return abs(a) < jnp.inf
-
         def finite_inside(name: str, array: Array) -> Array:
             array = jnp.where(mask[..., None], array, 0)
             wanted = "finite numbers inside the mask"
-            return require(name, array, finite, finite, wanted)
+            return require(name, array, finite, wanted)
 
         normals = normalize_all(finite_inside("normals", normals))
         self.mask = mask & jnp.any(normals != 0, axis=-1)
