@@ -27,22 +27,21 @@ from phongfit.vectors import Rgb, Scalar, Vec3, dot, norm, normalize, power
 
 
 class Illumination(eqx.Module):
-    """One light as it arrives at a point, with attenuation and spot cone applied."""
+    """One light as it arrives at a point, with attenuation and spot cone applied.
+
+    **Fields:**
+
+    - `to_light`: unit vector from the point to the light.
+    - `intensity`, `specular`, `ambient`: RGB that arrives for the diffuse, specular and
+        ambient term.
+    - `distance`: from the point to the light, world units; inf for parallel rays.
+    """
 
     to_light: Vec3
     intensity: Vec3
     specular: Vec3
     ambient: Vec3
     distance: Scalar
-
-
-Illumination.__init__.__doc__ = """**Arguments:**
-
-- `to_light`: unit vector from the point to the light.
-- `intensity`, `specular`, `ambient`: RGB that arrives for the diffuse, specular and
-    ambient term.
-- `distance`: from the point to the light, world units; inf for parallel rays.
-"""
 
 
 class AbstractLight(eqx.Module):

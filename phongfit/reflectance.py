@@ -105,6 +105,11 @@ class Phong(AbstractSpecular):
 
     Unit vectors $s$, $v$ point to light and viewer; $m$ is the normal.
 
+    **Fields:**
+
+    - `gate`: no highlight where the light is behind the surface (s·m ≤ 0), as in
+        OpenGL; `False` is the textbook's bare formula.
+
     ??? cite "Source"
         Phong, *Illumination for computer generated pictures*, CACM 18(6), 1975.
     """
@@ -127,17 +132,15 @@ class Phong(AbstractSpecular):
         return 1.0
 
 
-Phong.__init__.__doc__ = """**Arguments:**
-
-- `gate`: no highlight where the light is behind the surface (s·m ≤ 0), as in OpenGL;
-    `False` is the textbook's bare formula.
-"""
-
-
 class BlinnPhong(AbstractSpecular):
     r"""Blinn's highlight $\max(h \cdot m, 0)^f$, $h = (s + v) / |s + v|$.
 
     Unit vectors $s$, $v$ point to light and viewer; $m$ is the normal.
+
+    **Fields:**
+
+    - `gate`: as in [`Phong`][].
+    - `normalized`: scale the lobe by $(f+2)/(2\pi)$ and the diffuse term by $1/\pi$.
 
     ??? cite "Source"
         Blinn, *Models of light reflection for computer synthesized pictures*,
@@ -162,13 +165,6 @@ class BlinnPhong(AbstractSpecular):
 
     def diffuse_scale(self) -> float:
         return 1 / math.pi if self.normalized else 1.0
-
-
-BlinnPhong.__init__.__doc__ = r"""**Arguments:**
-
-- `gate`: as in [`Phong`][].
-- `normalized`: scale the lobe by $(f+2)/(2\pi)$ and the diffuse term by $1/\pi$.
-"""
 
 
 @checked

@@ -27,21 +27,19 @@ class Place(eqx.Module):
     """Points of a surface, by the coordinates at which textures are looked up.
 
     Textures of vertices use the weights of a triangle's corners, images use uv.
+
+    **Fields:**
+
+    - `corners`, `weights`: indices of the vertices of the triangle that a point lies
+        in, and their weights, which sum to 1.
+    - `uv`: texture coordinates of the points; `None` where the surface has no uv.
+    - `material_index`: which of several materials; `None` where there is one.
     """
 
     corners: Int[Array, "*batch 3"]
     weights: Float[Array, "*batch 3"]
     uv: Float[Array, "*batch 2"] | None = None
     material_index: Int[Array, "*batch"] | None = None
-
-
-Place.__init__.__doc__ = """**Arguments:**
-
-- `corners`, `weights`: indices of the vertices of the triangle that a point lies in,
-    and their weights, which sum to 1.
-- `uv`: texture coordinates of the points; `None` where the surface has no uv.
-- `material_index`: which of several materials; `None` where there is one.
-"""
 
 
 class AbstractTexture(eqx.Module):
@@ -193,6 +191,17 @@ class Textures(eqx.Module):
 
     They belong to the surface. The material's reflectances are factors on them, so that
     light stays linear in the reflectances.
+
+    **Fields:**
+
+    - `diffuse`, `specular`, `ambient`, `emission`: [`Texture`][] or [`VertexColours`][]
+        of numbers ≥ 0, with three channels or one.
+    - `shininess`: a texture of numbers ≥ 0 with one channel.
+    - `normal`: a [`Texture`][] whose three channels are the normal's components along
+        u, along −v (up in the image) and outwards, from −1 to 1. Flat and Gouraud
+        shading do not use it.
+
+    **Raises:** `ValueError` that names the argument.
     """
 
     diffuse: AbstractTexture | None = None
@@ -233,18 +242,6 @@ class Textures(eqx.Module):
         }
         return dataclasses.replace(self, **changed)
 
-
-Textures.__init__.__doc__ = """**Arguments:**
-
-- `diffuse`, `specular`, `ambient`, `emission`: [`Texture`][] or [`VertexColours`][] of
-    numbers ≥ 0, with three channels or one.
-- `shininess`: a texture of numbers ≥ 0 with one channel.
-- `normal`: a [`Texture`][] whose three channels are the normal's components along u,
-    along −v (up in the image) and outwards, from −1 to 1. Flat and Gouraud shading do
-    not use it.
-
-**Raises:** `ValueError` that names the argument.
-"""
 
 COLOURED = ("ambient", "diffuse", "specular", "emission")
 """Parameters with a value for each channel, in the order of the basis images."""

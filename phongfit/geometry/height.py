@@ -25,7 +25,17 @@ By their offsets (right, down) from the centre, in quarters of a pixel."""
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class HeightField:
-    """A surface as a height for every pixel of a camera, in arrays of NumPy."""
+    """A surface as a height for every pixel of a camera, in arrays of NumPy.
+
+    **Fields:**
+
+    - `height`: (H, W), the coordinate of the surface along the camera's z axis, which
+        points from the scene to the camera: 0 at the world's origin, world units; NaN
+        outside.
+    - `pieces`: (H, W), number of the mask's connected piece, from 1 on; 0 outside.
+    - `camera`: the camera of these pixels.
+    - `warnings`: what the normals do not determine, and what to try.
+    """
 
     height: Float[np.ndarray, "height width"]
     pieces: Int[np.ndarray, "height width"]
@@ -68,17 +78,6 @@ class HeightField:
 
     def __repr__(self) -> str:
         return str(self)
-
-
-HeightField.__init__.__doc__ = """**Arguments:**
-
-- `height`: (H, W), the coordinate of the surface along the camera's z axis, which
-    points from the scene to the camera: 0 at the world's origin, world units; NaN
-    outside.
-- `pieces`: (H, W), number of the mask's connected piece, from 1 on; 0 outside.
-- `camera`: the camera of these pixels.
-- `warnings`: what the normals do not determine, and what to try.
-"""
 
 
 def positions_at(

@@ -22,7 +22,17 @@ FacePoint = Literal["centroid", "last_vertex"]
 
 
 class LightingPoints(eqx.Module):
-    """Points at which lighting is evaluated: pixels, faces or vertices."""
+    """Points at which lighting is evaluated: pixels, faces or vertices.
+
+    **Fields:**
+
+    - `position`: world units.
+    - `normal`: the unit normal that lighting uses.
+    - `surface_normal`: unit normal of the surface itself, along which the start of
+        shadow rays is moved off the surface.
+    - `to_viewer`: unit vectors from the surface.
+    - `material_index`: which of several materials; `None` where there is one.
+    """
 
     position: Float[Array, "*points 3"]
     normal: Float[Array, "*points 3"]
@@ -31,19 +41,14 @@ class LightingPoints(eqx.Module):
     material_index: Int[Array, "*points"] | None
 
 
-LightingPoints.__init__.__doc__ = """**Arguments:**
-
-- `position`: world units.
-- `normal`: the unit normal that lighting uses.
-- `surface_normal`: unit normal of the surface itself, along which the start of shadow
-    rays is moved off the surface.
-- `to_viewer`: unit vectors from the surface.
-- `material_index`: which of several materials; `None` where there is one.
-"""
-
-
 class Interpolation(eqx.Module):
-    """Each pixel's value as a weighted sum of values at a few points."""
+    """Each pixel's value as a weighted sum of values at a few points.
+
+    **Fields:**
+
+    - `index`: for each pixel, the indices of its points.
+    - `weight`: their weights, which sum to 1.
+    """
 
     index: Int[Array, "*batch corners"]
     weight: Float[Array, "*batch corners"]
@@ -57,13 +62,6 @@ class Interpolation(eqx.Module):
         for k in range(self.weight.shape[-1]):
             total += self.weight[..., k, None] * values[self.index[..., k]]
         return total
-
-
-Interpolation.__init__.__doc__ = """**Arguments:**
-
-- `index`: for each pixel, the indices of its points.
-- `weight`: their weights, which sum to 1.
-"""
 
 
 class AbstractShading(eqx.Module):
@@ -128,6 +126,11 @@ class PhongShading(AbstractShading):
 class GouraudShading(AbstractShading):
     """Vertices are lit, and their colours interpolated: small highlights can be missed.
 
+    **Fields:**
+
+    - `clamp`: cut the vertices' colours off at 1 before they are interpolated, as
+        OpenGL does.
+
     ??? cite "Source"
         Gouraud, *Continuous shading of curved surfaces*, IEEE Transactions on Computers
         20(6), 1971.
@@ -166,13 +169,6 @@ class GouraudShading(AbstractShading):
             behind = _seen_from_behind(mesh, gbuffer)[..., None]
             index = jnp.where(behind, index + len(mesh.corners.vertex), index)
         return Interpolation(index, weights)
-
-
-GouraudShading.__init__.__doc__ = """**Arguments:**
-
-- `clamp`: cut the vertices' colours off at 1 before they are interpolated, as OpenGL
-    does.
-"""
 
 
 class FlatShading(AbstractShading):

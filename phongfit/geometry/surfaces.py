@@ -30,6 +30,21 @@ class GBuffer(eqx.Module):
     """Geometry buffer: the point of the surface that each pixel sees, and its normal.
 
     Outside `mask` the entries are finite placeholders.
+
+    **Fields:**
+
+    - `position`: world units.
+    - `normal`, `to_viewer`: unit vectors in the world's axes, away from the surface.
+    - `mask`: true where the pixel sees the surface.
+    - `material_index`: which of several materials; `None` where there is one.
+    - `surface_normal`: unit normal of the face itself where `normal` is interpolated;
+        `None` where the two are the same.
+    - `face`, `barycentrics`: index of the mesh's face, and the weights of its corners,
+        which sum to 1; `None` for other surfaces.
+    - `uv`: texture coordinates; `None` where the surface has no uv.
+    - `visibility`: 1 where the light reaches the point and 0 in shadow, for each light
+        at the points where the shading method lights the surface (pixels, faces,
+        vertices); `None` without shadows.
     """
 
     position: Float[Array, "*pixels 3"]
@@ -65,23 +80,6 @@ class GBuffer(eqx.Module):
         per_pixel = seen is not None and seen.shape[:-1] == size
         chosen = {name: at(array) for name, array in fields.items()}
         return GBuffer(**chosen, visibility=at(seen) if per_pixel else seen)
-
-
-GBuffer.__init__.__doc__ = """**Arguments:**
-
-- `position`: world units.
-- `normal`, `to_viewer`: unit vectors in the world's axes, away from the surface.
-- `mask`: true where the pixel sees the surface.
-- `material_index`: which of several materials; `None` where there is one.
-- `surface_normal`: unit normal of the face itself where `normal` is interpolated;
-    `None` where the two are the same.
-- `face`, `barycentrics`: index of the mesh's face, and the weights of its corners,
-    which sum to 1; `None` for other surfaces.
-- `uv`: texture coordinates; `None` where the surface has no uv.
-- `visibility`: 1 where the light reaches the point and 0 in shadow, for each light at
-    the points where the shading method lights the surface (pixels, faces, vertices);
-    `None` without shadows.
-"""
 
 
 class AbstractSurface(eqx.Module):
