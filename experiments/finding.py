@@ -37,7 +37,17 @@ class Table:
 
 @dataclasses.dataclass(frozen=True)
 class Finding:
-    """An experiment's answer, and what it rests on."""
+    """An experiment's answer, and what it rests on.
+
+    **Fields:**
+
+    - `answer`: a few sentences, with the numbers that were measured.
+    - `numbers`: those of the answer and more, for a JSON file.
+    - `figure`; `alt`: a description of it, for readers who cannot see it.
+    - `table`: the numbers as rows; `None` if there is no table.
+    - `frames`: an animation in linear light; `None` if there is none.
+    - `failed_checks`: a sentence for each check that failed.
+    """
 
     answer: str
     numbers: dict[str, Any]
@@ -46,17 +56,6 @@ class Finding:
     table: Table | None = None
     frames: Float[np.ndarray, "frames height width 3"] | None = None
     failed_checks: tuple[str, ...] = ()
-
-
-Finding.__init__.__doc__ = """**Arguments:**
-
-- `answer`: a few sentences, with the numbers that were measured.
-- `numbers`: those of the answer and more, for a JSON file.
-- `figure`; `alt`: a description of it, for readers who cannot see it.
-- `table`: the numbers as rows; `None` if there is no table.
-- `frames`: an animation in linear light; `None` if there is none.
-- `failed_checks`: a sentence for each check that failed.
-"""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -32,7 +32,10 @@ LAMP = 8.0
 
 
 class IdealMirror(pf.AbstractSpecular):
-    """A mirror that shows a round lamp: 1 inside the lamp's disc, 0 outside."""
+    """A mirror that shows a round lamp: 1 inside the lamp's disc, 0 outside.
+
+    **Fields:** `radius`: the lamp's, degrees.
+    """
 
     radius: float = eqx.field(static=True, default=LAMP)
 
@@ -51,9 +54,6 @@ class IdealMirror(pf.AbstractSpecular):
     def diffuse_scale(self) -> float:
         """1: this model does not normalise the diffuse term."""
         return 1.0
-
-
-IdealMirror.__init__.__doc__ = """**Arguments:** `radius`: the lamp's, degrees."""
 
 
 @dataclasses.dataclass(frozen=True)

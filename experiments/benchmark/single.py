@@ -50,22 +50,22 @@ GUESS = (0.5, 8.0)
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """Time and accuracy of one method."""
+    """Time and accuracy of one method.
+
+    **Fields:**
+
+    - `name`, `key`: its name in the printed table, and in the JSON file.
+    - `seconds`: median of its runs; `steps`: steps, or calls of the residuals for
+        lmfit.
+    - `distance`: largest difference of an estimate from that of `pf.fit`, in standard
+        errors.
+    """
 
     name: str
     key: str
     seconds: float
     steps: int
     distance: float
-
-
-Row.__init__.__doc__ = """**Arguments:**
-
-- `name`, `key`: its name in the printed table, and in the JSON file.
-- `seconds`: median of its runs; `steps`: steps, or calls of the residuals for lmfit.
-- `distance`: largest difference of an estimate from that of `pf.fit`, in standard
-    errors.
-"""
 
 
 def target(resolution: int) -> tuple[pf.Scene, np.ndarray]:

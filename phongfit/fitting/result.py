@@ -60,6 +60,43 @@ class Fit:
     `print` shows the table. Arrays are NumPy's; entries of `values`, `errors`,
     `covariance` and the flags are in the order of `labels`. `fit["diffuse"]` or
     `fit["diffuse.red"]` is an [`Estimate`][]. Fits are compared by identity.
+
+    **Fields:**
+
+    - `specification`: the options of the fit.
+    - `films`: the film of each image, detected or given.
+    - `material`, `stderr`: the estimate, and a material of its standard errors:
+        infinite for numbers that are not identifiable, 0 for known ones.
+    - `scene`, `exposure`: the scene or scenes with the fitted values of their unknowns,
+        and the factor on each image's light.
+    - `labels`, `values`, `errors`: the unknowns as vectors, such as `diffuse.red`. An
+        error is the larger side of the interval in which Δχ² stays below 1.
+    - `covariance`: covariance of `values`, with unknowns at a bound held there. Rows
+        are NaN for unknowns at a bound or not identified. They are NaN too if a bound
+        or a barely identified exponent makes an error more than a quarter larger than
+        this.
+    - `at_bound`: true where the estimate lies on its bound. Its error is then
+        one-sided, towards the inside of the box.
+    - `unidentified`: true where the data do not determine the value.
+    - `bounds`: (n, 2), lower and upper bounds.
+    - `tied`: true for entries that are tied to another one.
+    - `photographs`: the given images (H, W, 3), linear light; one, or a tuple.
+    - `fitted`, `residuals`: of the same shape; `residuals` is image − fitted, and 0
+        where a sample was left out.
+    - `noise`: standard deviation of a sample, in linear light where white is 1.
+    - `noise_given`: whether the noise was given.
+    - `arrays`: those of `mask`, `weights` and `noise` that were given as arrays.
+    - `n_samples`, `n_images`: numbers of used samples and images; a sample is one
+        channel of a pixel.
+    - `degrees_of_freedom`: number of samples and priors minus number of free unknowns.
+    - `chi_squared`: sum of the squared residuals in standard deviations.
+    - `misfit`: a [`Misfit`][], which tests whether residuals are noise. If they are
+        not, the model does not describe the image, and errors are widened.
+    - `converged`, `steps`, `reason`: how the solver ended.
+    - `warnings`: sentences, each with what to try and a code: see [`warning_code`][].
+    - `region`: the region that the data allow, for [`Fit`][]`.intervals`.
+    - `solution`: the solved problem, from which [`Fit`][]`.profile` and [`refit`][]
+        start.
     """
 
     specification: Specification
@@ -384,43 +421,6 @@ def film_words(film: Film) -> str:
     rounded = "not rounded" if film.bits is None else f"{film.bits}-bit {film.encoding}"
     kind = "" if film.jpeg is None else f" JPEG {film.jpeg.subsampling}"
     return f"{'clamped' if film.clamp else 'not clamped'}, {rounded}{kind}"
-
-
-Fit.__init__.__doc__ = """**Arguments:**
-
-- `specification`: the options of the fit.
-- `films`: the film of each image, detected or given.
-- `material`, `stderr`: the estimate, and a material of its standard errors: infinite
-    for numbers that are not identifiable, 0 for known ones.
-- `scene`, `exposure`: the scene or scenes with the fitted values of their unknowns, and
-    the factor on each image's light.
-- `labels`, `values`, `errors`: the unknowns as vectors, such as `diffuse.red`. An error
-    is the larger side of the interval in which Δχ² stays below 1.
-- `covariance`: covariance of `values`, with unknowns at a bound held there. Rows are
-    NaN for unknowns at a bound or not identified. They are NaN too if a bound or a
-    barely identified exponent makes an error more than a quarter larger than this.
-- `at_bound`: true where the estimate lies on its bound. Its error is then one-sided,
-    towards the inside of the box.
-- `unidentified`: true where the data do not determine the value.
-- `bounds`: (n, 2), lower and upper bounds.
-- `tied`: true for entries that are tied to another one.
-- `photographs`: the given images (H, W, 3), linear light; one, or a tuple.
-- `fitted`, `residuals`: of the same shape; `residuals` is image − fitted, and 0 where a
-    sample was left out.
-- `noise`: standard deviation of a sample, in linear light where white is 1.
-- `noise_given`: whether the noise was given.
-- `arrays`: those of `mask`, `weights` and `noise` that were given as arrays.
-- `n_samples`, `n_images`: numbers of used samples and images; a sample is one channel
-    of a pixel.
-- `degrees_of_freedom`: number of samples and priors minus number of free unknowns.
-- `chi_squared`: sum of the squared residuals in standard deviations.
-- `misfit`: a [`Misfit`][], which tests whether residuals are noise. If they are not,
-    the model does not describe the image, and errors are widened.
-- `converged`, `steps`, `reason`: how the solver ended.
-- `warnings`: sentences, each with what to try and a code: see [`warning_code`][].
-- `region`: the region that the data allow, for [`Fit`][]`.intervals`.
-- `solution`: the solved problem, from which [`Fit`][]`.profile` and [`refit`][] start.
-"""
 
 
 @program()

@@ -54,7 +54,27 @@ class ParameterMaps(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class BasisMaterials:
-    """Materials that the pixels share, with their probabilities in each pixel."""
+    r"""Materials that the pixels share, with their probabilities in each pixel.
+
+    **Fields:**
+
+    - `specular`: (K, 3), ρ_s of each material; `shininess`: (K,), its exponent. The
+        first material has the most pixels.
+    - `stderr_specular`, `stderr_shininess`: their standard errors, infinite for a
+        material without a significant highlight. They are estimated from the scatter of
+        the sample's pixels (the sandwich formula), not from an assumed noise.
+    - `at_bound`: (K,), whether the exponent lies at one of its bounds.
+    - `weights`: (H, W, K), the probability that a pixel is of each; 0 outside.
+    - `criterion`: BIC of 1, 2, … materials, as many as were tried:
+        $-2 \log L + p \log n$ with p numbers of the materials and n pixels. Lower is
+        better; a difference of 10 is strong evidence.
+    - `sample`: n, number of pixels from which the materials were estimated.
+
+    ??? cite "Source"
+        Goldman et al., *Shape and spatially-varying BRDFs from photometric stereo*,
+        IEEE TPAMI 32(6), 2010, for shared materials; Hertzmann and Seitz,
+        *Example-based photometric stereo*, IEEE TPAMI 27(8), 2005.
+    """
 
     specular: Float[np.ndarray, "materials 3"]
     shininess: Float[np.ndarray, " materials"]
@@ -144,27 +164,6 @@ def _with_error(value: float, error: float) -> str:
     return f"{value:.4g} ± {told}"
 
 
-BasisMaterials.__init__.__doc__ = r"""**Arguments:**
-
-- `specular`: (K, 3), ρ_s of each material; `shininess`: (K,), its exponent. The first
-    material has the most pixels.
-- `stderr_specular`, `stderr_shininess`: their standard errors, infinite for a material
-    without a significant highlight. They are estimated from the scatter of the sample's
-    pixels (the sandwich formula), not from an assumed noise.
-- `at_bound`: (K,), whether the exponent lies at one of its bounds.
-- `weights`: (H, W, K), the probability that a pixel is of each; 0 outside.
-- `criterion`: BIC of 1, 2, … materials, as many as were tried:
-    $-2 \log L + p \log n$ with p numbers of the materials and n pixels. Lower is
-    better; a difference of 10 is strong evidence.
-- `sample`: n, number of pixels from which the materials were estimated.
-
-??? cite "Source"
-    Goldman et al., *Shape and spatially-varying BRDFs from photometric stereo*, IEEE
-    TPAMI 32(6), 2010, for shared materials; Hertzmann and Seitz,
-    *Example-based photometric stereo*, IEEE TPAMI 27(8), 2005.
-"""
-
-
 StrengthsName = Literal["given", "fit", "fit_per_channel", "auto"]
 """Choices for the strengths of the images' light: see [`fit_maps`][]."""
 
@@ -202,7 +201,48 @@ class Strengths(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class Maps:
-    """Materials of all pixels with their uncertainty, as NumPy arrays."""
+    """Materials of all pixels with their uncertainty, as NumPy arrays.
+
+    **Fields:**
+
+    - `ambient`, `diffuse`, `specular`: (H, W, 3); `shininess`: (H, W, 1), or (H, W, 3)
+        if each channel has its own. 0 outside; finite everywhere.
+    - `stderr`: standard errors of these four: infinite if not identified, 0 if known.
+        Bounds do not reduce them, since the true value may be inside a bound. If the
+        noise was estimated (`noise_given` is `None`) from each pixel's residuals, they
+        are wider by Student's t over 1.96, with the number of samples minus the number
+        of unknowns as degrees of freedom: ± 1.96 errors are an interval of 95 % under
+        any number of lamps.
+    - `noise`: (H, W), root mean square of a pixel's residuals per degree of freedom, in
+        linear light; NaN outside. If `noise_given` varies, it is the pixel's noise
+        times the root of χ².
+    - `samples`: (H, W), number of samples in use.
+    - `flags`: (H, W), bits of [`Flag`][]: reasons why a pixel is not identified or
+        needs care.
+    - `unknowns`: names of the parameters that were fitted.
+    - `noise_given`: standard deviation of a sample from which errors are computed
+        (except with `MISFIT`), or `None` if it was estimated from each pixel's
+        residuals. (H, W) if it varies: the root mean square over a pixel's samples.
+    - `normals`: (H, W, 3), unit normals in the camera's axes: x right, y up, z towards
+        the camera; 0 where no surface is seen.
+    - `normals_stderr`: (H, W), their standard errors, the root mean square angle in
+        degrees; 0 where they were given, inf where not identified.
+    - `depth`: (H, W), distance along the camera's axis from the scenes' geometry, world
+        units; NaN where that has none.
+    - `camera`, `specular_model`: those of the scenes; `None` in files of older
+        versions.
+    - `ambient_light`: I_a of the first scene, RGB.
+    - `materials`: shared materials, if there are any: see [`BasisMaterials`][].
+    - `misplacement`: with near lamps and fitted normals, the root mean square error of
+        the directions to the lamps, degrees: the pixels' assumed positions differ from
+        the surface of the fitted normals.
+    - `strength_error`: if the images determine other strengths of the light than the
+        given ones: the largest deviation of their ratio from its mean; else 0.
+    - `matte`: whether `materials="auto"` found no highlight: then specular and
+        shininess are not among `unknowns`.
+    - `strengths`: fitted strengths of each image's light, or `None`: see
+        [`Strengths`][].
+    """
 
     ambient: Float[np.ndarray, "height width 3"]
     diffuse: Float[np.ndarray, "height width 3"]
@@ -531,44 +571,6 @@ def counted(
             lines.append(f"  {name.replace('_', ' '):<17}{counts[name]:>9,}")
     return lines
 
-
-Maps.__init__.__doc__ = """**Arguments:**
-
-- `ambient`, `diffuse`, `specular`: (H, W, 3); `shininess`: (H, W, 1), or (H, W, 3) if
-    each channel has its own. 0 outside; finite everywhere.
-- `stderr`: standard errors of these four: infinite if not identified, 0 if known.
-    Bounds do not reduce them, since the true value may be inside a bound. If the noise
-    was estimated (`noise_given` is `None`) from each pixel's residuals, they are wider
-    by Student's t over 1.96, with the number of samples minus the number of unknowns as
-    degrees of freedom: ± 1.96 errors are an interval of 95 % under any number of lamps.
-- `noise`: (H, W), root mean square of a pixel's residuals per degree of freedom, in
-    linear light; NaN outside. If `noise_given` varies, it is the pixel's noise times
-    the root of χ².
-- `samples`: (H, W), number of samples in use.
-- `flags`: (H, W), bits of [`Flag`][]: reasons why a pixel is not identified or needs
-    care.
-- `unknowns`: names of the parameters that were fitted.
-- `noise_given`: standard deviation of a sample from which errors are computed (except
-    with `MISFIT`), or `None` if it was estimated from each pixel's residuals. (H, W) if
-    it varies: the root mean square over a pixel's samples.
-- `normals`: (H, W, 3), unit normals in the camera's axes: x right, y up, z towards the
-    camera; 0 where no surface is seen.
-- `normals_stderr`: (H, W), their standard errors, the root mean square angle in
-    degrees; 0 where they were given, inf where not identified.
-- `depth`: (H, W), distance along the camera's axis from the scenes' geometry, world
-    units; NaN where that has none.
-- `camera`, `specular_model`: those of the scenes; `None` in files of older versions.
-- `ambient_light`: I_a of the first scene, RGB.
-- `materials`: shared materials, if there are any: see [`BasisMaterials`][].
-- `misplacement`: with near lamps and fitted normals, the root mean square error of the
-    directions to the lamps, degrees: the pixels' assumed positions differ from the
-    surface of the fitted normals.
-- `strength_error`: if the images determine other strengths of the light than the given
-    ones: the largest deviation of their ratio from its mean; else 0.
-- `matte`: whether `materials="auto"` found no highlight: then specular and shininess
-    are not among `unknowns`.
-- `strengths`: fitted strengths of each image's light, or `None`: see [`Strengths`][].
-"""
 
 FAULTS = ("misplacement", "strength_error")
 """Fields with the sizes of faults of the maps as a whole, for warnings."""

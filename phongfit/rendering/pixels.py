@@ -40,6 +40,16 @@ class PixelTerms(eqx.Module):
     [`PixelTerms.radiance`][] is a pure function of the material: light at the points,
     clamped there if the shading method clamps, interpolated, and mixed with fog. Unless
     clamped it is linear in the reflectances and the emission, plus the fog's light.
+
+    **Fields:**
+
+    - `terms`: terms of the light at the points that are lit.
+    - `interpolation`: from the points to the pixels; `None` if the points are the
+        pixels.
+    - `haze`: fog per pixel; `None` without.
+    - `clamp`: whether light is cut off at 1 at the points, before interpolation and
+        fog.
+    - `factors`: factors of the textures at each pixel; `None` without textures.
     """
 
     terms: ShadingTerms
@@ -144,16 +154,6 @@ class PixelTerms(eqx.Module):
                 self.terms, jnp.asarray(np.resize(used, _padded_count(used)))
             )
         return PixelTerms(chosen, interpolation, haze, self.clamp, factors)
-
-
-PixelTerms.__init__.__doc__ = """**Arguments:**
-
-- `terms`: terms of the light at the points that are lit.
-- `interpolation`: from the points to the pixels; `None` if the points are the pixels.
-- `haze`: fog per pixel; `None` without.
-- `clamp`: whether light is cut off at 1 at the points, before interpolation and fog.
-- `factors`: factors of the textures at each pixel; `None` without textures.
-"""
 
 
 def with_model(terms: T, model: AbstractSpecular | None) -> T:

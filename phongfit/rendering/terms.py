@@ -32,6 +32,18 @@ class ShadingTerms(eqx.Module):
     S(f) is the sum over lights of `strength` times the model's lobe of `cosine`.
     `batch` is () for one point, (N,) for samples, faces or vertices, (height,
     width) for an image.
+
+    **Fields:**
+
+    - `ambient`, `diffuse`: RGB for ρ = 1.
+    - `cosine`: cosine of the angle from each light's highlight; a named tuple if the
+        lobe takes more numbers.
+    - `strength`: RGB of each light's specular colour that arrives, by which the lobe is
+        multiplied.
+    - `model`: turns `cosine` into the height of the highlight.
+    - `material_index`: which of `materials` each point is made of: a parameter of shape
+        (M, 3) or (M, 1) is then M materials. `None` where there is one.
+    - `exponents`: factor of a texture on the exponent; `None` without a texture.
     """
 
     ambient: Float[Array, "*batch 3"]
@@ -85,20 +97,6 @@ class ShadingTerms(eqx.Module):
                 f"materials, got shape {leaf.shape}"
             )
         return leaf[self.material_index]
-
-
-ShadingTerms.__init__.__doc__ = """**Arguments:**
-
-- `ambient`, `diffuse`: RGB for ρ = 1.
-- `cosine`: cosine of the angle from each light's highlight; a named tuple if the lobe
-    takes more numbers.
-- `strength`: RGB of each light's specular colour that arrives, by which the lobe is
-    multiplied.
-- `model`: turns `cosine` into the height of the highlight.
-- `material_index`: which of `materials` each point is made of: a parameter of shape
-    (M, 3) or (M, 1) is then M materials. `None` where there is one.
-- `exponents`: factor of a texture on the exponent; `None` without a texture.
-"""
 
 
 def _spread(

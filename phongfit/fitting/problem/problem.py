@@ -150,7 +150,19 @@ class Problem(eqx.Module):
 
 
 class Evaluation(eqx.Module):
-    """Residuals at a point and their derivatives, for each sample."""
+    """Residuals at a point and their derivatives, for each sample.
+
+    **Fields:**
+
+    - `difference`: model − image in linear light; 0 where a sample is left out.
+    - `residual`: the difference in standard deviations.
+    - `slope`: derivative of the residual in the model's light.
+    - `drift`: derivative of the prediction, in standard deviations, in the logarithm of
+        the noise.
+    - `noise`, `deviation`: standard deviations before and after rounding.
+    - `variance_share`: variance after clipping over that of the noise, 0 … 1.
+    - `floor`: noise level at and below which residuals are rounding errors.
+    """
 
     difference: Float[Array, "3 samples"]
     residual: Float[Array, "3 samples"]
@@ -160,19 +172,6 @@ class Evaluation(eqx.Module):
     deviation: Float[Array, "3 samples"]
     variance_share: Float[Array, "3 samples"]
     floor: Float[Array, ""]
-
-
-Evaluation.__init__.__doc__ = """**Arguments:**
-
-- `difference`: model − image in linear light; 0 where a sample is left out.
-- `residual`: the difference in standard deviations.
-- `slope`: derivative of the residual in the model's light.
-- `drift`: derivative of the prediction, in standard deviations, in the logarithm of the
-    noise.
-- `noise`, `deviation`: standard deviations before and after rounding.
-- `variance_share`: variance after clipping over that of the noise, 0 … 1.
-- `floor`: noise level at and below which residuals are rounding errors.
-"""
 
 
 @program()

@@ -114,7 +114,18 @@ def by_channel(pixels: PixelTerms) -> Channels:
 
 
 class Samples(eqx.Module):
-    """Geometry, light and measured light of N pixels; padding has weight 0."""
+    """Geometry, light and measured light of N pixels; padding has weight 0.
+
+    **Fields:**
+
+    - `channels`: geometry and light of the pixels.
+    - `target`: measured linear light.
+    - `weight`: relative inverse variance; 0 leaves a sample out.
+    - `step`: width in linear light of the level that the target was rounded to; `None`
+        where nothing was rounded.
+    - `image`: index of a sample's image; the samples of an image are contiguous.
+    - `views`: scene and pixels of each image, in order.
+    """
 
     channels: Channels
     target: Float[Array, "3 n"]
@@ -143,18 +154,6 @@ class Samples(eqx.Module):
         """Index of each sample's material; 0 if there is only one."""
         index = self.channels.pixels.material_index()
         return jnp.zeros_like(self.image) if index is None else index
-
-
-Samples.__init__.__doc__ = """**Arguments:**
-
-- `channels`: geometry and light of the pixels.
-- `target`: measured linear light.
-- `weight`: relative inverse variance; 0 leaves a sample out.
-- `step`: width in linear light of the level that the target was rounded to; `None`
-    where nothing was rounded.
-- `image`: index of a sample's image; the samples of an image are contiguous.
-- `views`: scene and pixels of each image, in order.
-"""
 
 
 @dataclasses.dataclass(frozen=True)

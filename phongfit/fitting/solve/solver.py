@@ -37,6 +37,11 @@ class BoxDampedNewtonDescent(optx.AbstractDescent):
     exactly on its bound and may leave it again. It works on a QR factor of $J$: $J^\top
     J$ would square the condition number, which is too much in float32.
 
+    **Fields:**
+
+    - `lower`, `upper`: bounds, with the structure of the unknowns; may be infinite.
+    - `damping`: $\lambda$ at the first step.
+
     ??? cite "Source"
         Moré, *The Levenberg-Marquardt algorithm: implementation and theory*, Numerical
         Analysis, Lecture Notes in Mathematics 630, 1978: norms that never shrink keep
@@ -139,13 +144,6 @@ def _landing(
     return jnp.where(y + step > upper, jnp.nextafter(step, -jnp.inf), step)
 
 
-BoxDampedNewtonDescent.__init__.__doc__ = r"""**Arguments:**
-
-- `lower`, `upper`: bounds, with the structure of the unknowns; may be infinite.
-- `damping`: $\lambda$ at the first step.
-"""
-
-
 class _SearchState(eqx.Module):
     step_size: Scalar
 
@@ -159,6 +157,13 @@ class RoundingTolerantTrustRegion(optx.AbstractSearch):
     There the decrease is computed from the slopes at both ends instead,
     $-\tfrac12 (r_0 \cdot J_0 p + r_1 \cdot J_1 p)$, whose rounding shrinks with the
     step.
+
+    **Fields:**
+
+    - `good`, `poor`: fractions of the predicted decrease above which the step size
+        grows, and below which it shrinks.
+    - `grow`, `shrink`: factors on the step size; it shrinks too where a step is
+        rejected.
 
     ??? cite "Source"
         Hager and Zhang, *A new conjugate gradient method with guaranteed descent and an
@@ -211,14 +216,6 @@ def _slope(f_info: Any, difference: PyTree[Array]) -> tuple[Scalar, Scalar]:
     change, _ = ravel_pytree(f_info.jac.mv(difference))
     residual, _ = ravel_pytree(f_info.residual)
     return jnp.sum(residual * change), jnp.linalg.norm(change)
-
-
-RoundingTolerantTrustRegion.__init__.__doc__ = """**Arguments:**
-
-- `good`, `poor`: fractions of the predicted decrease above which the step size grows,
-    and below which it shrinks.
-- `grow`, `shrink`: factors on the step size; it shrinks too where a step is rejected.
-"""
 
 
 class BoundedLevenbergMarquardt(optx.AbstractGaussNewton):

@@ -30,7 +30,23 @@ MISLEADING = 1.25
 
 @dataclasses.dataclass(frozen=True)
 class Estimates:
-    """Estimates and errors of the reported entries, in the order of their labels."""
+    """Estimates and errors of the reported entries, in the order of their labels.
+
+    **Fields:**
+
+    - `values`, `errors`: estimates, and the larger side of the interval in which Δχ²
+        stays below 1; infinite for entries that are not identifiable.
+    - `covariance`: covariance of the free entries, with those at a bound held there.
+        Rows are NaN for entries at a bound or not identified. They are NaN too if a
+        bound or a barely identified exponent makes an error more than a quarter larger.
+    - `strain`: for entries at a bound, the number of standard deviations by which the
+        images favour values beyond it.
+    - `free`: number of free and identified entries.
+    - `chi_squared`: sum of squared residuals of samples and priors, in standard
+        deviations.
+    - `reasons`: warnings on entries that are not identifiable.
+    - `region`: intervals at any level.
+    """
 
     values: np.ndarray
     errors: np.ndarray
@@ -42,22 +58,6 @@ class Estimates:
     chi_squared: float
     reasons: tuple[str, ...]
     region: Region
-
-
-Estimates.__init__.__doc__ = """**Arguments:**
-
-- `values`, `errors`: estimates, and the larger side of the interval in which Δχ² stays
-    below 1; infinite for entries that are not identifiable.
-- `covariance`: covariance of the free entries, with those at a bound held there. Rows
-    are NaN for entries at a bound or not identified. They are NaN too if a bound or a
-    barely identified exponent makes an error more than a quarter larger.
-- `strain`: for entries at a bound, the number of standard deviations by which the
-    images favour values beyond it.
-- `free`: number of free and identified entries.
-- `chi_squared`: sum of squared residuals of samples and priors, in standard deviations.
-- `reasons`: warnings on entries that are not identifiable.
-- `region`: intervals at any level.
-"""
 
 
 def estimates(
