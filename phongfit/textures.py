@@ -92,12 +92,7 @@ class Texture(AbstractTexture):
         """The texture's values at texture coordinates (u, v), of any batch shape."""
         rows, columns, channels = self.values.shape
         index, weight = texels(uv, (rows, columns), self.filter, self.wrap)
-        flat = self.values.reshape(-1, channels)
-        total = jnp.zeros((*uv.shape[:-1], channels), self.values.dtype)
-        # One by one: an innermost loop over four texels is slow.
-        for k in range(index.shape[-1]):
-            total += weight[..., k, None] * flat[index[..., k]]
-        return total
+        return weighted_sum(self.values.reshape(-1, channels), index, weight)
 
 
 class VertexColours(AbstractTexture):
@@ -115,11 +110,7 @@ class VertexColours(AbstractTexture):
         self.values = _as_values(values, "V")
 
     def look_up(self, place: Place) -> Float[Array, "*batch channels"]:
-        shape = (*place.weights.shape[:-1], self.values.shape[-1])
-        total = jnp.zeros(shape, self.values.dtype)
-        for k in range(3):
-            total += place.weights[..., k, None] * self.values[place.corners[..., k]]
-        return total
+        return weighted_sum(self.values, place.corners, place.weights)
 
 
 def _as_values(values: Any, places: str) -> Array:
@@ -131,6 +122,19 @@ def _as_values(values: Any, places: str) -> Array:
             f"values: expected shape ({places}, 3) or ({places}, 1), got {values.shape}"
         )
     return require("values", values, finite, "finite numbers")
+
+
+def weighted_sum(
+    values: Float[Array, "places channels"],
+    index: Int[Array, "*batch corners"],
+    weight: Float[Array, "*batch corners"],
+) -> Float[Array, "*batch channels"]:
+    """Weighted sums of a few rows of `values`, whose numbers are in `index`."""
+    total = jnp.zeros((*weight.shape[:-1], values.shape[-1]), values.dtype)
+    # One by one: an innermost loop over three or four corners is slow.
+    for k in range(weight.shape[-1]):
+        total += weight[..., k, None] * values[index[..., k]]
+    return total
 
 
 def texels(

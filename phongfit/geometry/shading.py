@@ -17,6 +17,7 @@ from phongfit.edge import check_fields, checked
 from phongfit.geometry.cameras import AbstractCamera
 from phongfit.geometry.meshes import Mesh
 from phongfit.geometry.surfaces import AbstractSurface, GBuffer
+from phongfit.textures import weighted_sum
 
 FacePoint = Literal["centroid", "last_vertex"]
 
@@ -57,11 +58,7 @@ class Interpolation(eqx.Module):
         self, values: Float[Array, "points channels"]
     ) -> Float[Array, "*batch channels"]:
         """Values at the pixels, from values at all points."""
-        total = jnp.zeros((*self.weight.shape[:-1], values.shape[-1]), values.dtype)
-        # One by one: an innermost loop over three corners is slow.
-        for k in range(self.weight.shape[-1]):
-            total += self.weight[..., k, None] * values[self.index[..., k]]
-        return total
+        return weighted_sum(values, self.index, self.weight)
 
 
 class AbstractShading(eqx.Module):
