@@ -51,10 +51,6 @@ class IdealMirror(pf.AbstractSpecular):
         inside = cosine >= np.cos(np.deg2rad(self.radius))
         return inside.astype(cosine.dtype)
 
-    def diffuse_scale(self) -> float:
-        """1: this model does not normalise the diffuse term."""
-        return 1.0
-
 
 @dataclasses.dataclass(frozen=True)
 class Result:

@@ -126,9 +126,6 @@ class GGX(AbstractSpecular):
         height = distribution * fresnel * at.light / (2 * (masked + shadowed))
         return jnp.where(seen, height, 0)
 
-    def diffuse_scale(self) -> float:
-        return 1.0
-
     def alpha_squared(self, shininess: Float[Array, "..."]) -> Float[Array, "..."]:
         r"""$\alpha^2$ of the model's roughness if it has one, else of `shininess`."""
         if self.roughness is None:
@@ -179,9 +176,6 @@ class Ward(AbstractSpecular):
         a2 = self.alpha_squared(shininess)
         height = jnp.exp(-at.slope / a2) / (4 * a2)
         return jnp.where(seen, height * jnp.sqrt(at.light / at.viewer), 0)
-
-    def diffuse_scale(self) -> float:
-        return 1.0
 
     def alpha_squared(self, shininess: Float[Array, "..."]) -> Float[Array, "..."]:
         r"""$\alpha^2$ of the model's $\alpha$ if it has one, else of `shininess`."""

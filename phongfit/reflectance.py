@@ -90,9 +90,9 @@ class AbstractSpecular(eqx.Module):
         exponents that broadcast to it.
         """
 
-    @abc.abstractmethod
     def diffuse_scale(self) -> float:
         """Factor on the diffuse term: 1, or 1 / π where the model is normalised."""
+        return 1.0
 
 
 def _gated(cosine: Scalar, normal: Vec3, to_light: Vec3, gate: bool) -> Scalar:
@@ -127,9 +127,6 @@ class Phong(AbstractSpecular):
         self, cosine: Float[Array, "..."], shininess: Float[Array, "..."]
     ) -> Float[Array, "..."]:
         return power(cosine, shininess)
-
-    def diffuse_scale(self) -> float:
-        return 1.0
 
 
 class BlinnPhong(AbstractSpecular):
