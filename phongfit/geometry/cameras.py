@@ -87,7 +87,9 @@ class AbstractCamera(eqx.Module):
 
     def finer(self, times: int) -> "AbstractCamera":
         """A camera with the same view and `times` as many rows and columns."""
-        return self if times == 1 else FinerCamera(self, times)
+        if times == 1:
+            return self
+        return WindowCamera(self, 0, 0, self.width * times, self.height * times, times)
 
     def depth(self, position: Vec3) -> Scalar:
         """Distance of a point along the viewing axis, world units; > 0 in front."""
@@ -441,14 +443,60 @@ def _covered(camera: PinholeCamera) -> Bool[Array, "height width"]:
     return over_pixels(found, camera)
 
 
-class AbstractSameView(AbstractCamera):
-    """Base class of cameras with the view of another `camera` but other pixels."""
+class WindowCamera(AbstractCamera):
+    """A camera for a rectangular part of another camera's image, with finer pixels.
 
-    camera: AbstractVar[AbstractCamera]
+    The part may extend beyond the right and lower edge of that image.
+    """
+
+    camera: AbstractCamera
+    left: Float[Array, ""]
+    top: Float[Array, ""]
+    times: int = eqx.field(static=True)
+    width: int = eqx.field(static=True)
+    height: int = eqx.field(static=True)
+    position: Float[Array, "3"]
+    rotation: Float[Array, "3 3"]
+
+    def __init__(
+        self,
+        camera: AbstractCamera,
+        left: int,
+        top: int,
+        width: int,
+        height: int,
+        times: int = 1,
+    ):
+        """**Arguments:**
+
+        - `camera`: the other camera.
+        - `left`, `top`: column and row of the window's first pixel in its image, ≥ 0.
+        - `width`, `height`: of the window, pixels.
+        - `times`: rows and columns that each pixel of the other camera is split into,
+            ≥ 1. All numbers above count these finer pixels.
+        """
+        self.camera = camera
+        # Arrays, not static fields: one compiled program serves all windows.
+        self.left = jnp.asarray(left, camera.position.dtype)
+        self.top = jnp.asarray(top, camera.position.dtype)
+        self.times = _as_size("times", times)
+        self.width = _as_size("width", width)
+        self.height = _as_size("height", height)
+        self.position = camera.position
+        self.rotation = camera.rotation
 
     @property
     def parallel(self) -> bool:
         return self.camera.parallel
+
+    def ray(self, x: Scalar, y: Scalar) -> Ray:
+        return self.camera.ray(
+            (x + self.left) / self.times, (y + self.top) / self.times
+        )
+
+    def project(self, position: Vec3) -> Float[Array, "2"]:
+        corner = jnp.stack([self.left, self.top])
+        return self.camera.project(position) * self.times - corner
 
     def to_viewer(self, position: Vec3) -> Vec3:
         return self.camera.to_viewer(position)
@@ -456,86 +504,13 @@ class AbstractSameView(AbstractCamera):
     def depth(self, position: Vec3) -> Scalar:
         return self.camera.depth(position)
 
-
-class FinerCamera(AbstractSameView):
-    """A camera's view with more pixels: each is split into `times` × `times`."""
-
-    camera: AbstractCamera
-    times: int = eqx.field(static=True)
-    width: int = eqx.field(static=True)
-    height: int = eqx.field(static=True)
-    position: Float[Array, "3"]
-    rotation: Float[Array, "3 3"]
-
-    def __init__(self, camera: AbstractCamera, times: int):
-        """**Arguments:** `camera`: the other camera; `times`: ≥ 1, new pixels along
-        each side of one of its pixels.
-        """
-        self.camera = camera
-        self.times = _as_size("times", times)
-        self.width = camera.width * self.times
-        self.height = camera.height * self.times
-        self.position = camera.position
-        self.rotation = camera.rotation
-
-    def ray(self, x: Scalar, y: Scalar) -> Ray:
-        return self.camera.ray(x / self.times, y / self.times)
-
-    def project(self, position: Vec3) -> Float[Array, "2"]:
-        return self.camera.project(position) * self.times
-
     def covered(self) -> Bool[Array, "height width"] | None:
         whole = self.camera.covered()
         if whole is None:
             # Each pixel has a ray.
             return None
-        return jnp.repeat(jnp.repeat(whole, self.times, axis=0), self.times, axis=1)
-
-
-class WindowCamera(AbstractSameView):
-    """A camera for a rectangular part of another camera's image.
-
-    It may extend beyond the right and lower edge of that image.
-    """
-
-    camera: AbstractCamera
-    left: Float[Array, ""]
-    top: Float[Array, ""]
-    width: int = eqx.field(static=True)
-    height: int = eqx.field(static=True)
-    position: Float[Array, "3"]
-    rotation: Float[Array, "3 3"]
-
-    def __init__(
-        self, camera: AbstractCamera, left: int, top: int, width: int, height: int
-    ):
-        """**Arguments:**
-
-        - `camera`: the other camera.
-        - `left`, `top`: column and row of the window's first pixel in its image, ≥ 0.
-        - `width`, `height`: of the window, pixels.
-        """
-        self.camera = camera
-        # Arrays, not static fields: one compiled program serves all windows.
-        self.left = jnp.asarray(left, camera.position.dtype)
-        self.top = jnp.asarray(top, camera.position.dtype)
-        self.width = _as_size("width", width)
-        self.height = _as_size("height", height)
-        self.position = camera.position
-        self.rotation = camera.rotation
-
-    def ray(self, x: Scalar, y: Scalar) -> Ray:
-        return self.camera.ray(x + self.left, y + self.top)
-
-    def project(self, position: Vec3) -> Float[Array, "2"]:
-        return self.camera.project(position) - jnp.stack([self.left, self.top])
-
-    def covered(self) -> Bool[Array, "height width"] | None:
-        whole = self.camera.covered()
-        if whole is None:
-            # Each pixel has a ray.
-            return None
-        left, top = int(self.left), int(self.top)
-        part = whole[top : top + self.height, left : left + self.width]
-        missing = ((0, self.height - part.shape[0]), (0, self.width - part.shape[1]))
-        return jnp.pad(part, missing)
+        size = (self.height, self.width)
+        finer = jnp.repeat(jnp.repeat(whole, self.times, axis=0), self.times, axis=1)
+        padded = jnp.pad(finer, [(0, side) for side in size])
+        start = self.top.astype(int), self.left.astype(int)
+        return jax.lax.dynamic_slice(padded, start, size)
