@@ -75,28 +75,6 @@ class AbstractLight(eqx.Module):
         return jnp.zeros_like(normal)
 
 
-def _arriving(
-    to_light: Vec3,
-    fraction: Scalar | float,
-    intensity: Vec3,
-    specular: Vec3 | None,
-    ambient: Vec3,
-    distance: Scalar,
-) -> Illumination:
-    """The light that arrives at a point: `fraction` times the light's colours.
-
-    **Arguments:** `specular`: `None` stands for `intensity`.
-    """
-    specular = intensity if specular is None else specular
-    return Illumination(
-        to_light,
-        fraction * intensity,
-        fraction * specular,
-        fraction * ambient,
-        distance,
-    )
-
-
 def _as_colour(name: str, value: Any) -> Vec3 | None:
     """`value` as RGB light; `None`, which stands for a light's intensity, is kept."""
     return None if value is None else as_light(name, value)
@@ -160,10 +138,7 @@ class DirectionalLight(AbstractLight):
 
     def illuminate(self, position: Vec3) -> Illumination:
         far = jnp.full((), jnp.inf, position.dtype)
-        to_light = normalize(self.direction)
-        return _arriving(
-            to_light, 1.0, self.intensity, self.specular, self.ambient, far
-        )
+        return _arriving(self, normalize(self.direction), far)
 
 
 def _as_attenuation(value: Any) -> Vec3:
@@ -380,11 +355,21 @@ def _from_bulb(
     offset = light.position - position
     distance = norm(offset)
     fraction = spot * _attenuation(light.attenuation, distance)
-    return _arriving(
-        normalize(offset),
-        fraction,
-        light.intensity,
-        light.specular,
-        light.ambient,
+    return _arriving(light, normalize(offset), distance, fraction)
+
+
+def _arriving(
+    light: DirectionalLight | PointLight | SpotLight,
+    to_light: Vec3,
+    distance: Scalar,
+    fraction: Scalar | float = 1.0,
+) -> Illumination:
+    """A light as it arrives at a point: `fraction` times its colours."""
+    specular = light.intensity if light.specular is None else light.specular
+    return Illumination(
+        to_light,
+        fraction * light.intensity,
+        fraction * specular,
+        fraction * light.ambient,
         distance,
     )
