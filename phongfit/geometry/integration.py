@@ -131,7 +131,7 @@ def integrate_normals(
             raise ValueError("stderr: expected degrees ≥ 0")
         weight = 1 / (1 + (np.minimum(errors, 1e6) / HALF_WEIGHT_ERROR) ** 2)
     default_depth = _default_depth(distance, camera)
-    rays = _rays(camera)
+    rays = camera_rays(camera)
     facing = -np.sum(field * rays.direction, axis=-1) > MIN_COSINE * length
     valid = inside & facing & (weight > UNIDENTIFIED_WEIGHT)
     field = _fill_invalid(field / np.maximum(length, 1e-30)[..., None], valid)
@@ -150,7 +150,7 @@ def integrate_normals(
     return HeightField(height, pieces, camera, warnings)
 
 
-class _Rays(NamedTuple):
+class CameraRays(NamedTuple):
     """Rays of all pixels in the camera's axes; directions have z = −1.
 
     `parallel` is true if all directions are the same.
@@ -161,20 +161,20 @@ class _Rays(NamedTuple):
     parallel: bool
 
 
-def _rays(camera: AbstractCamera) -> _Rays:
+def camera_rays(camera: AbstractCamera) -> CameraRays:
     """A camera's rays in its own axes, world units from its position."""
     rays, axes = camera.rays(), np.asarray(camera.rotation, float)
     origin = (np.asarray(rays.origin, float) - np.asarray(camera.position)) @ axes
     direction = np.asarray(rays.direction, float) @ axes
     direction = direction / -direction[..., 2:]
     parallel = bool(np.ptp(direction, axis=(0, 1)).max() < 1e-9)
-    return _Rays(origin, direction, parallel)
+    return CameraRays(origin, direction, parallel)
 
 
 def _pairs(
     normals: Float[np.ndarray, "height width 3"],
     inside: Bool[np.ndarray, "height width"],
-    rays: _Rays,
+    rays: CameraRays,
 ) -> _Pairs:
     """All pairs of neighbours inside: those in rows, then those in columns.
 
@@ -246,22 +246,16 @@ def _least_squares(
     magnitude. `start` determines what the pairs do not: the mean of each piece.
     """
     # Imported here, since they take long to import.
-    from scipy.sparse import coo_array, csc_array, csr_array, eye_array
+    from scipy.sparse import csc_array, csr_array, eye_array
     from scipy.sparse.linalg import cg, splu
 
     if not len(weight):
         return start
     weight = weight / weight.max()
-    numbers, ends = np.arange(len(weight)), (pairs.first, pairs.second)
-    difference = csr_array(
-        coo_array(
-            (
-                np.concatenate([-np.ones(len(weight)), np.ones(len(weight))]),
-                (np.concatenate([numbers, numbers]), np.concatenate(ends)),
-            ),
-            shape=(len(weight), len(start)),
-        )
-    )
+    ones, rows = np.ones(len(weight)), np.arange(len(weight))
+    shape = (len(weight), len(start))
+    second = csr_array((ones, (rows, pairs.second)), shape)
+    difference = second - csr_array((ones, (rows, pairs.first)), shape)
     system = csr_array(difference.T @ (difference * weight[:, None]))
     # Neighbours do not determine the mean of u in a piece. A tiny weight on `start`
     # makes the system regular.

@@ -23,6 +23,7 @@ from phongfit.edge import checked
 from phongfit.files.formats import data_uri, encode_webp
 from phongfit.files.outputs import replacing
 from phongfit.geometry.height import HeightField
+from phongfit.geometry.integration import camera_rays
 from phongfit.maps.pixel.settings import Flag
 from phongfit.maps.result import Maps
 from phongfit.reflectance import AbstractSpecular, BlinnPhong, Phong
@@ -123,20 +124,17 @@ def _relief(
     surface: HeightField, inside: np.ndarray
 ) -> tuple[np.ndarray, list[float], dict[str, Any]]:
     """Relief for ray marching of shadows: two bytes and mask, range, and camera."""
-    camera = surface.camera
-    rays, axes = camera.rays(), np.asarray(camera.rotation, float)
-    direction = np.asarray(rays.direction, float) @ axes
-    direction = direction / -direction[..., 2:]
-    origin = (np.asarray(rays.origin, float) - np.asarray(camera.position)) @ axes
-    parallel = bool(np.ptp(direction, axis=(0, 1)).max() < 1e-9)
-    plane = origin if parallel else direction
+    camera, rays = surface.camera, camera_rays(surface.camera)
+    parallel = rays.parallel
+    plane = rays.origin if parallel else rays.direction
     first, last = plane[0, 0, :2], plane[-1, -1, :2]
     steps = max(inside.shape[1] - 1, inside.shape[0] - 1, 1)
     pixel = float(np.abs(last - first).max() / steps) or 1.0
     if parallel:
         values = surface.height / pixel
     else:
-        depth = float(np.dot(camera.position, axes[:, 2])) - surface.height
+        axis = np.asarray(camera.rotation, float)[:, 2]
+        depth = float(np.dot(camera.position, axis)) - surface.height
         values = 1 / depth
         values = values / np.nanmax(values)
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
