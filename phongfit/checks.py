@@ -69,9 +69,14 @@ def as_array(name: str, value: Any) -> np.ndarray:
 
 def as_vector(name: str, value: Any) -> Float[Array, "3"]:
     """`value` as a finite vector of shape (3,); `ValueError` names `name`."""
+    return as_finite(name, value, (3,))
+
+
+def as_finite(name: str, value: Any, shape: tuple[int, ...]) -> Float[Array, "..."]:
+    """`value` as finite numbers of this shape; `ValueError` names `name`."""
     array = as_floats(name, value)
-    if array.shape != (3,):
-        raise ValueError(f"{name}: expected shape (3,), got {array.shape}")
+    if array.shape != shape:
+        raise ValueError(f"{name}: expected shape {shape}, got {array.shape}")
     return require(name, array, finite, "finite numbers")
 
 

@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from phongfit.checks import (
     as_array,
+    as_finite,
     as_floats,
     as_indices,
     as_integers,
@@ -145,13 +146,7 @@ class Mesh(AbstractSurface):
             raise ValueError(f"faces: expected shape (F, 3), got {faces.shape}")
         require("vertices", vertices, finite, "finite numbers")
         if normals is not None:
-            normals = as_floats("normals", normals)
-            if normals.shape != vertices.shape:
-                raise ValueError(
-                    f"normals: expected shape {vertices.shape}, got {normals.shape}"
-                )
-            require("normals", normals, finite, "finite numbers")
-            normals = normalize_all(normals)
+            normals = normalize_all(as_finite("normals", normals, vertices.shape))
         given_count, source_vertex = len(vertices), None
         if crease_angle is not None:
             if normals is not None:
@@ -172,7 +167,9 @@ class Mesh(AbstractSurface):
         )
         index = self.material_index
         self.corners = Corners(faces, None if index is None else np.asarray(index))
-        self.uv = _as_uv(uv, len(faces))
+        if uv is not None:
+            uv = as_finite("uv", uv, (len(faces), 3, 2))
+        self.uv = uv
         textures = _as_textures(textures, self.uv, self._materials, given_count)
         if textures is not None and source_vertex is not None:
             textures = tuple(
@@ -265,16 +262,6 @@ class Mesh(AbstractSurface):
         ray = Ray(position, to_light)
         rays, distance = _lift_rays(*triangles, normal, ray, distance)
         return ~blocked(*triangles, rays, distance)
-
-
-def _as_uv(value: Any, faces: int) -> Float[Array, "faces 3 2"] | None:
-    """`value` as uv of this number of faces; `None` stays `None`; else `ValueError`."""
-    if value is None:
-        return None
-    uv = as_floats("uv", value)
-    if uv.shape != (faces, 3, 2):
-        raise ValueError(f"uv: expected shape ({faces}, 3, 2), got {uv.shape}")
-    return require("uv", uv, finite, "finite numbers")
 
 
 def _as_textures(
