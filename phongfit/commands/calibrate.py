@@ -17,7 +17,6 @@ from phongfit.files.calibrations import LIGHTS_FILE, save_calibration
 from phongfit.files.captures import Capture, open_capture
 from phongfit.files.encodings import parse_encoding
 from phongfit.files.lp import write_lp
-from phongfit.files.outputs import replacing_folder
 
 LIST_FILE = "lights.lp"
 PICTURE_FILE = "calibration.png"
@@ -96,7 +95,7 @@ def main(options: Options) -> int:
     may_replace = OURS.__contains__ if options.overwrite else None
     if options.orthographic and options.fov is not None:
         raise ValueError("fov: expected it or --orthographic, got both")
-    with replacing_folder(options.out, may_replace) as folder:
+    with keeping(options.out, may_replace) as (folder, drawing):
         capture = open_capture(
             options.photographs,
             parse_encoding(options.encoding),
@@ -111,11 +110,10 @@ def main(options: Options) -> int:
         vectors = np.array([lamp.direction for lamp in found.lamps])
         names = [lamp.photograph for lamp in found.lamps]
         write_lp(folder / LIST_FILE, names, vectors)
-        with keeping(options.out, folder) as kept:
+        with drawing():
             print(found, flush=True)
             with stage("drawing"):
                 _draw(folder / PICTURE_FILE, found, capture)
-    kept.tell()
     return 0
 
 

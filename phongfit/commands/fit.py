@@ -30,7 +30,7 @@ from phongfit.files.fits import (
     read_fit_record,
     write_fit_record,
 )
-from phongfit.files.outputs import replacing, replacing_folder
+from phongfit.files.outputs import replacing
 from phongfit.files.schema import describe_material
 from phongfit.files.texture_fits import (
     ARRAYS_FILE,
@@ -198,7 +198,7 @@ def main(options: Options) -> int:
     if given:
         return _fit_textures(options, given)
     may_replace = OURS.__contains__ if options.overwrite else None
-    with replacing_folder(options.out, may_replace) as folder:
+    with keeping(options.out, may_replace) as (folder, drawing):
         record = None if options.like is None else read_fit_record(options.like)
         asked, noise, reading = _asked(options, record)
         data, read = read_data(reading)
@@ -207,12 +207,11 @@ def main(options: Options) -> int:
         with stage("fitting"):
             found = _fit(data, asked, noise)
         write_fit_record(folder / FIT_FILE, found, data=read, noise=noise)
-        with keeping(options.out, folder) as kept:
+        with drawing():
             print(found, flush=True)
             if options.report != "none":
                 with stage("drawing"):
                     _draw(folder, found, data, options)
-    kept.tell()
     agrees = record is None or _compare(record, found, read)
     return 0 if found.converged and agrees else 1
 
@@ -221,7 +220,7 @@ def _fit_textures(options: Options, given: dict[str, Any]) -> int:
     """Fit with texels among the unknowns."""
     refuse(options, "like refine_lights", "expected none with textures")
     may_replace = OURS.__contains__ if options.overwrite else None
-    with replacing_folder(options.out, may_replace) as folder:
+    with keeping(options.out, may_replace) as (folder, drawing):
         data, read = read_data(options.data)
         tell(data.notes)
         with stage("fitting"):
@@ -230,12 +229,11 @@ def _fit_textures(options: Options, given: dict[str, Any]) -> int:
             )
         settings = as_settings(found, given)
         save_texture_fit(folder, found, data.scenes[0], data=read, settings=settings)
-        with keeping(options.out, folder) as kept:
+        with drawing():
             print(found, flush=True)
             if options.report != "none":
                 with stage("drawing"):
                     draw(folder, found, data, shlex.join(_words(options)))
-    kept.tell()
     return 0 if found.converged else 1
 
 

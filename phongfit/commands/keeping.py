@@ -1,38 +1,41 @@
-"""Keep computed results even if drawing their pictures fails."""
+"""Fill an output folder, and keep its results even if drawing their pictures fails."""
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from phongfit.files.outputs import replacing_folder
 
-class Kept:
-    """Names of the files in an output folder, and the error of drawing, if any."""
-
-    def __init__(self, out: Path):
-        """**Arguments:** `out`: the folder, as given by the user."""
-        self._out = out
-        self.names: list[str] = []
-        self.failure: BaseException | None = None
-
-    def tell(self) -> None:
-        """Print the names of the files; then raise the error of the block, if any."""
-        with contextlib.suppress(BrokenPipeError):
-            print(f"\n{self._out}: {', '.join(self.names)}", flush=True)
-        if self.failure is not None:
-            raise self.failure
+Drawing = Callable[[], contextlib.AbstractContextManager[None]]
+"""Makes a context for what may fail: see [`keeping`][]."""
 
 
 @contextlib.contextmanager
-def keeping(out: Path, folder: Path) -> Iterator[Kept]:
-    """Defer errors of the block, including interrupts, to [`Kept.tell`][].
+def keeping(
+    out: Path, may_replace: Callable[[str], bool] | None = None
+) -> Iterator[tuple[Path, Drawing]]:
+    """A folder to fill, and a function that makes a context whose errors are deferred.
 
-    So the files that were written to `folder` before can become `out` first.
+    When the block succeeds, the folder becomes `out`, and the names of its files are
+    printed. Only then is an error raised that the context deferred, also an interrupt:
+    the files that were written before are kept.
 
-    **Arguments:** `out`, as given by the user; `folder`, which will become it.
+    **Arguments:** `out`, as given by the user; `may_replace`: as in
+    [`replacing_folder`][].
     """
-    kept = Kept(out)
-    try:
-        yield kept
-    except BaseException as error:
-        kept.failure = error
-    kept.names = sorted(path.name for path in folder.iterdir())
+    failures: list[BaseException] = []
+
+    @contextlib.contextmanager
+    def drawing() -> Iterator[None]:
+        try:
+            yield
+        except BaseException as error:
+            failures.append(error)
+
+    with replacing_folder(out, may_replace) as folder:
+        yield folder, drawing
+        names = sorted(path.name for path in folder.iterdir())
+    with contextlib.suppress(BrokenPipeError):
+        print(f"\n{out}: {', '.join(names)}", flush=True)
+    if failures:
+        raise failures[0]

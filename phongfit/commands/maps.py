@@ -2,7 +2,7 @@
 
 import contextlib
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
@@ -16,6 +16,7 @@ from phongfit.commands.options import (
     Names,
     OutFolder,
     Words,
+    known_material,
     optional,
     parse_bounds,
 )
@@ -25,8 +26,7 @@ from phongfit.files.budget import afford
 from phongfit.files.dataset import Photographs
 from phongfit.files.fits import DataRecord, LossName
 from phongfit.files.inputs import naming
-from phongfit.files.materials import read_material
-from phongfit.files.outputs import OVERWRITE, replacing, replacing_folder
+from phongfit.files.outputs import OVERWRITE, replacing
 from phongfit.files.schema import describe_material
 from phongfit.files.zarrs import address, is_store
 from phongfit.fitting.fit import fit
@@ -178,17 +178,21 @@ def main(options: Options) -> int:
         return 0
     if not options.overwrite and (options.out / RECORD_FILE).exists():
         raise OSError(f"{options.out}: there are maps in it; {OVERWRITE}")
-    with replacing_folder(options.out, replaceable(options)) as folder:
+
+    def may_replace(name: str) -> bool:
+        # Unfinished tiles and, with --overwrite, files of older maps.
+        return name == TILES or (options.overwrite and name in OURS)
+
+    with keeping(options.out, may_replace) as (folder, drawing):
         found, read, notes = _fit(options, given, str(options.out / TILES))
         maps = found if isinstance(found, Maps) else found.load()
         with _resumable(options):
             save(folder, maps, read, given)
-        with keeping(options.out, folder) as kept:
+        with drawing():
             print("\n".join([str(maps), *notes]), flush=True)
             if options.pictures:
                 with stage("drawing"):
                     draw(folder, maps)
-    kept.tell()
     return 0
 
 
@@ -358,34 +362,21 @@ def _assumes_parallel_rays(options: Options, stack: DatasetStack) -> bool:
 
 def save(folder: Path, found: Maps, read: Input, given: dict[str, Any]) -> None:
     """Write all files except pictures."""
+    known = given["known"]
+    described = None if known is None else describe_material(known)
+    settings = MapOptions.model_validate(plain(given | {"known": described}))
     save_folder(
         folder,
         found,
         data=read.record,
-        settings=_settings(given),
+        settings=settings,
         model=read.scenes[0].specular_model,
         encoding=read.film.encoding,
     )
 
 
-def replaceable(options: Options) -> Callable[[str], bool]:
-    """A function of names in OUT, true for those that may be replaced.
-
-    Unfinished tiles may be replaced and, with --overwrite, files of older maps.
-    """
-
-    def may_replace(name: str) -> bool:
-        return name == TILES or (options.overwrite and name in OURS)
-
-    return may_replace
-
-
 def arguments(options: Options) -> dict[str, Any]:
     """Keyword arguments of [`fit_maps`][]."""
-    known = None
-    if options.known is not None:
-        with naming("known"):
-            known = read_material(options.known).material
     sought = options.data.sought
     if sought and options.highlight == "shared":
         raise ValueError("highlight: expected own where normals are sought, got shared")
@@ -394,7 +385,7 @@ def arguments(options: Options) -> dict[str, Any]:
         "unknowns": unknowns if options.unknowns is None else options.unknowns,
         "per_channel": options.per_channel,
         "bounds": parse_bounds(options.bounds),
-        "known": known,
+        "known": known_material(options.known),
         "noise": options.noise,
         "loss": options.loss or ("cauchy" if sought else "linear"),
         "normals": "fit" if sought else "given",
@@ -427,12 +418,6 @@ def _shared(photographs: Photographs, given: dict[str, Any]) -> Material:
         one = fit(data.scenes, data.images, **options)
     print(one, "\n", flush=True)
     return one.material
-
-
-def _settings(given: dict[str, Any]) -> MapOptions:
-    known = given["known"]
-    described = None if known is None else describe_material(known)
-    return MapOptions.model_validate(plain(given | {"known": described}))
 
 
 def draw(folder: Path, found: Maps) -> None:
