@@ -62,13 +62,13 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
         if parameter.kind
         in (parameter.POSITIONAL_ONLY, parameter.POSITIONAL_OR_KEYWORD)
     ]
-    kinds, options = _Kinds(function), _options_of(function)
+    options = _options_of(function)
     whole = _with_options(signature, options) if options else signature
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
-        named = [kinds.check(*pair) for pair in zip(names, args, strict=False)]
-        given = {name: kinds.check(name, value) for name, value in kwargs.items()}
+        named = [_check(function, *pair) for pair in zip(names, args, strict=False)]
+        given = {name: _check(function, name, kwargs[name]) for name in kwargs}
         if options:
             _check_names(function, kwargs, whole)
         # For surplus arguments the function raises its own TypeError.
@@ -119,49 +119,38 @@ def check_fields(record: Any) -> None:
 
     **Raises:** `ValueError` that names the field.
     """
-    kinds = _of_class(type(record))
     for field in dataclasses.fields(record):
-        kinds.check(field.name, getattr(record, field.name))
+        _check(type(record), field.name, getattr(record, field.name))
 
 
 @functools.cache
-def _of_class(record: type) -> "_Kinds":
-    """The kinds of a dataclass's fields, read once for each class."""
-    return _Kinds(record)
-
-
-class _Kinds:
+def _kinds(annotated: Any) -> dict[str, Kind | None]:
     """Kinds of a function's arguments or a class's fields, from their annotations.
 
-    Annotations are read at the first check, when all names in them are defined.
+    They are read at the first check, when all names in the annotations are defined.
     """
+    hints = inspect.get_annotations(inspect.unwrap(annotated)) | _options_of(annotated)
+    return {name: kind_of(hint) for name, hint in hints.items()}
 
-    def __init__(self, annotated: Any):
-        self._annotated = annotated
-        self._kinds: dict[str, Kind | None] | None = None
 
-    def check(self, name: str, value: Any) -> Any:
-        """Check one argument, and return it, a few types converted.
+def _check(annotated: Any, name: str, value: Any) -> Any:
+    """Check one argument or field, and return it, a few types converted.
 
-        Iterators become tuples, and NumPy's whole numbers Python's, unless the argument
-        is an array.
+    Iterators become tuples, and NumPy's whole numbers Python's, unless the argument is
+    an array.
 
-        **Raises:** `ValueError` that names the argument.
-        """
-        if self._kinds is None:
-            hints = inspect.get_annotations(inspect.unwrap(self._annotated))
-            hints |= _options_of(self._annotated)
-            self._kinds = {key: kind_of(hint) for key, hint in hints.items()}
-        kind = self._kinds.get(name)
-        if kind is None:
-            return value
-        if isinstance(value, Iterator) and not kind.holds(value):
-            value = tuple(value)
-        if not kind.holds(value):
-            raise ValueError(f"{name}: expected {kind.words}, got {shown(value)}")
-        if kind.one_number and isinstance(value, np.integer):
-            return int(value)
+    **Raises:** `ValueError` that names the argument.
+    """
+    kind = _kinds(annotated).get(name)
+    if kind is None:
         return value
+    if isinstance(value, Iterator) and not kind.holds(value):
+        value = tuple(value)
+    if not kind.holds(value):
+        raise ValueError(f"{name}: expected {kind.words}, got {shown(value)}")
+    if kind.one_number and isinstance(value, np.integer):
+        return int(value)
+    return value
 
 
 def shown(value: Any) -> str:
