@@ -8,6 +8,8 @@ residuals do not show it, since the mirrored object looks the same.
 import numpy as np
 from jaxtyping import Bool, Float
 
+from phongfit.rendering.render import block_means
+
 # Number of blocks across the shorter side, over which normals are averaged first.
 ACROSS = 24
 # Slopes belong to the mirror image if the mean error for it is below this fraction of
@@ -29,8 +31,11 @@ def is_mirrored(
     - `known`: true for reliable normals.
     """
     size = max(min(known.shape) // ACROSS, 1)
-    mean, inside = _averaged(normals, known, size)
-    inside &= mean[..., 2] > STEEPEST
+    share = block_means(known[..., None], size)
+    mean = block_means(np.where(known[..., None], normals, 0), size)
+    mean = mean / np.where(share > 0, share, 1)
+    # Blocks of which half is known.
+    inside = (share[..., 0] > 0.5) & (mean[..., 2] > STEEPEST)
     z = np.where(inside, mean[..., 2], 1)
     p, q = -mean[..., 0] / z, -mean[..., 1] / z
     # Row numbers increase downwards, y upwards.
@@ -41,15 +46,3 @@ def is_mirrored(
         return False
     as_it_is, turned = (np.mean(np.abs(rise + sign * run)[whole]) for sign in (-1, 1))
     return bool(turned < PLAINLY * as_it_is)
-
-
-def _averaged(
-    normals: np.ndarray, known: np.ndarray, size: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Means over blocks of `size`² pixels, and blocks of which half is known."""
-    height, width = (length // size * size for length in known.shape)
-    shape = (height // size, size, width // size, size)
-    share = known[:height, :width].reshape(shape).mean(axis=(1, 3))
-    used = np.where(known[..., None], normals, 0)[:height, :width]
-    total = used.reshape(*shape, 3).mean(axis=(1, 3))
-    return total / np.where(share > 0, share, 1)[..., None], share > 0.5
