@@ -37,11 +37,6 @@ def held(settings: MapSettings) -> MapSettings:
     return dataclasses.replace(settings, names=own, one_specular=False, materials=None)
 
 
-def alone(settings: MapSettings) -> MapSettings:
-    """Settings of a pixel whose highlight is fitted separately."""
-    return dataclasses.replace(settings, materials=None)
-
-
 def sought(settings: MapSettings) -> Unknowns:
     """Unknowns of a pixel whose highlight is known."""
     return unknowns_of(held(settings))

@@ -1,5 +1,6 @@
 """Estimates of an object's materials from a sample of its pixels."""
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from typing import Any, NamedTuple
@@ -9,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from phongfit.maps.materials.bases import Bases, alone, size_of
+from phongfit.maps.materials.bases import Bases, size_of
 from phongfit.maps.materials.grouping import Table, group
 from phongfit.maps.materials.looks import Alone, fit_alone, fit_row, look_at
 from phongfit.maps.materials.mixture import Mixture, Told, maximize
@@ -85,7 +86,9 @@ def find_materials(
 
     **Raises:** `ValueError` if no pixel of the sample can be used.
     """
-    sample = _Sample(blocks, pixels, outside, alone(settings), workers)
+    # Each pixel of the sample has a separate highlight at first.
+    apart = dataclasses.replace(settings, materials=None)
+    sample = _Sample(blocks, pixels, outside, apart, workers)
     table = sample.table()
     wanted = settings.materials
     most = MOST_MATERIALS if wanted == "auto" else int(wanted or 1)
@@ -101,10 +104,10 @@ def find_materials(
         if wanted == "auto" and count > best + PATIENCE:
             break
     criterion = np.array([one.criterion for one in found])
-    if wanted == "auto" and sample.matte() <= criterion.min():
-        found = [one.none() for one in found]
     best = found[int(criterion.argmin()) if wanted == "auto" else most - 1]
     order = np.argsort(-best.shares, kind="stable")
+    if wanted == "auto" and sample.matte() <= criterion.min():
+        order = order[:0]
     dtype = outside.noise.dtype
     bases = (best.values[order], best.covariance[order], best.shares[order])
     return Materials(

@@ -47,30 +47,18 @@ class Told(NamedTuple):
 
 
 class Mixture(NamedTuple):
-    r"""K materials, and their likelihood.
+    r"""K materials, and how well they explain the pixels.
 
     - `values`: (K, unknowns), $\log f$ and $\rho_s$.
     - `shares`: (K,), fractions of the pixels.
-    - `log_likelihood`: of all pixels.
     - `criterion`: BIC; less is better.
     - `covariance`: (K, unknowns, unknowns), of each material.
-    - `converged`: whether the last step was small.
     """
 
     values: Float[np.ndarray, "materials unknowns"]
     shares: Float[np.ndarray, " materials"]
-    log_likelihood: float
     criterion: float
     covariance: Float[np.ndarray, "materials unknowns unknowns"]
-    converged: bool
-
-    def none(self) -> "Mixture":
-        """The mixture without any material."""
-        return self._replace(
-            values=self.values[:0],
-            shares=self.shares[:0],
-            covariance=self.covariance[:0],
-        )
 
 
 def maximize(
@@ -110,14 +98,8 @@ def maximize(
     pixels = odds.shape[1]
     if free is None:
         free = count * unknowns + count - 1
-    return Mixture(
-        values,
-        shares,
-        total,
-        -2 * total + free * np.log(pixels),
-        _covariance(told, odds, values),
-        converged,
-    )
+    criterion = -2 * total + free * np.log(pixels)
+    return Mixture(values, shares, criterion, _covariance(told, odds, values))
 
 
 def _odds(
