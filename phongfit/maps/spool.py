@@ -6,11 +6,9 @@ samples may not be used.
 """
 
 import contextlib
-import math
-import mmap
 import tempfile
 from collections.abc import Callable
-from typing import IO, Any, NamedTuple, final
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool
@@ -24,11 +22,6 @@ DECODED = 2
 
 ALIGNED = 16
 """Arrays begin at multiples of this number of bytes."""
-
-
-@final
-class SpoolMap(mmap.mmap):
-    """Map of a file of this module, whose pages can be read again."""
 
 
 class UsedImage(NamedTuple):
@@ -54,13 +47,12 @@ def spooled(read: Callable[[int], UsedImage], count: int) -> list[UsedImage]:
             used = None if used is None or used.all() else used
             places = [None if a is None else _write(file, a) for a in (numbers, used)]
             images.append((*places, table))
-        data = SpoolMap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        data = np.memmap(file, np.uint8, "r")
 
     def mapped(place: _Place | None) -> Any:
         if place is None:
             return None
-        size = math.prod(place.shape)
-        return np.frombuffer(data, place.dtype, size, place.offset).reshape(place.shape)
+        return np.ndarray(place.shape, place.dtype, data, place.offset)
 
     return [
         UsedImage(Coded(mapped(numbers), table), mapped(used))

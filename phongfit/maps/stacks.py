@@ -30,7 +30,7 @@ from phongfit.files.zarrs import (
     place_of,
     read_window,
 )
-from phongfit.maps.spool import SpoolMap, UsedImage, spooled
+from phongfit.maps.spool import UsedImage, spooled
 from phongfit.rendering.film import Encoding, as_encoding
 from phongfit.scene import Scene
 
@@ -432,12 +432,9 @@ def gather(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
 
 def as_index(pixels: np.ndarray) -> np.ndarray | slice:
     """Index of some pixels: a slice if they are consecutive, which is faster."""
-    return slice(pixels[0], pixels[-1] + 1) if is_run(pixels) else pixels
-
-
-def is_run(numbers: np.ndarray) -> bool:
-    """True if rising numbers are consecutive."""
-    return bool(len(numbers) and numbers[-1] - numbers[0] + 1 == len(numbers))
+    if len(pixels) and pixels[-1] - pixels[0] + 1 == len(pixels):
+        return slice(pixels[0], pixels[-1] + 1)
+    return pixels
 
 
 def _let_go(array: np.ndarray) -> None:
@@ -457,8 +454,7 @@ def _mapping(array: np.ndarray) -> mmap.mmap | None:
     while isinstance(base, np.ndarray | memoryview):
         shared |= isinstance(base, np.memmap) and base.mode in ("r", "r+")
         base = base.base if isinstance(base, np.ndarray) else base.obj
-    known = isinstance(base, SpoolMap) or (shared and isinstance(base, mmap.mmap))
-    return base if known else None
+    return base if shared and isinstance(base, mmap.mmap) else None
 
 
 def _float_type() -> np.dtype:
