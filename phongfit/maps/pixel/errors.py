@@ -19,6 +19,7 @@ from phongfit.maps.pixel.small import (
     factorize,
     solve,
 )
+from phongfit.maps.pixel.starts import shown_by
 from phongfit.maps.pixel.step import Edges, Free, reduce_sums
 from phongfit.maps.pixel.sums import Sums
 
@@ -310,11 +311,7 @@ def _in_a_plane(point: Point, samples: Samples) -> Bool[Array, " pixels"]:
     """
     lights = facing(samples.lamps)
     row = [lights[:, k] for k in range(3)]
-    shown = sum(
-        (row[k] * point.normal[k][None] for k in range(1, 3)),
-        row[0] * point.normal[0][None],
-    )
-    lit = (shown > 0) & jnp.any(samples.share > 0, axis=1)
+    lit = (shown_by(point.normal, lights) > 0) & jnp.any(samples.share > 0, axis=1)
     length = jnp.sqrt(jnp.sum(lights**2, axis=1))
     weight = jnp.where(lit, 1 / jnp.where(length > 0, length, 1) ** 2, 0)
     xx, yy, zz, xy, xz, yz = (

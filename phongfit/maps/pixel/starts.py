@@ -64,7 +64,7 @@ def make_starts(samples: Samples) -> Starts:
         return _matte(vector, target, share * _kept(found, vector, target, share))
 
     robust = jax.lax.fori_loop(0, ROUNDS, again, plain)
-    residual = share * (target - jnp.maximum(_shown(robust, vector), 0))
+    residual = share * (target - jnp.maximum(shown_by(robust, vector), 0))
     scale = median_scale(residual[:, None], share[:, None], 3)
     diffuse = jnp.sqrt(jnp.sum(robust**2, axis=0))
     mirror = _mirroring(vector, target, share, viewer)
@@ -72,10 +72,13 @@ def make_starts(samples: Samples) -> Starts:
     return Starts(jnp.stack(normals), Matte(normals[1], diffuse, scale))
 
 
-def _shown(
+def shown_by(
     vector: Float[Array, "3 pixels"], lights: Float[Array, "images 3 #pixels"]
 ) -> Float[Array, "images pixels"]:
-    """Light ρ n · e s of a matte surface in all images."""
+    """Light ρ n · e s of a matte surface in all images.
+
+    **Arguments:** `vector`: ρ n; `lights`: the light vectors e s.
+    """
     return sum(
         (lights[:, k] * vector[k][None] for k in range(1, 3)),
         lights[:, 0] * vector[0][None],
@@ -95,7 +98,7 @@ def _matte(lights: Array, target: Array, share: Array) -> Float[Array, "3 pixels
 
 def _kept(vector: Array, lights: Array, target: Array, share: Array) -> Array:
     """Square roots of robust weights of the lit samples; 0 for unlit ones."""
-    shown = _shown(vector, lights)
+    shown = shown_by(vector, lights)
     lit = (shown > 0) & (share > 0)
     residual = jnp.where(lit, share * (target - shown), 0)
     scale = median_scale(residual[:, None], lit[:, None].astype(share.dtype), 0)
