@@ -21,7 +21,7 @@ from phongfit.maps.job import Job
 from phongfit.maps.materials.bases import held
 from phongfit.maps.materials.block import Given, fit_shared
 from phongfit.maps.materials.finding import Materials, choose_sample, find_materials
-from phongfit.maps.pixel.block import BLOCK, fit_tile, run
+from phongfit.maps.pixel.block import BLOCK, fit_block, fit_tile
 from phongfit.maps.pixel.settings import MAP_PARAMETERS
 from phongfit.maps.result import Layer, Maps, ParameterMaps, layers_of
 from phongfit.maps.stacks import as_index
@@ -88,7 +88,7 @@ def fit_job(
     - `size`: pixels of a tile, for which the program is compiled.
     - `shared`: the materials that its pixels share, from [`with_materials`][].
     """
-    among, fit = job.outside, fit_tile
+    among, fit = job.outside, fit_block
     if shared is not None:
         among, fit = Given(job.outside, shared.bases), fit_shared
     pixels = job.pixels
@@ -97,7 +97,7 @@ def fit_job(
     def work(number: int) -> dict[str, np.ndarray]:
         device = team.devices[number % len(team.devices)]
         inputs = jax.device_put((job.tile(tiles[number], size), among), device)
-        fitted = run(*inputs, job.settings, fit)
+        fitted = fit_tile(*inputs, job.settings, fit)
         count = len(tiles[number])
         return {name: np.asarray(array)[:count] for name, array in fitted.items()}
 

@@ -14,7 +14,7 @@ from phongfit.maps.materials.bases import (
     reduce,
     sought,
 )
-from phongfit.maps.pixel.block import in_two_passes, judged, samples_of
+from phongfit.maps.pixel.block import judged, samples_of
 from phongfit.maps.pixel.samples import Outside, PixelFit, Samples, Tile
 from phongfit.maps.pixel.search import SearchResult, search
 from phongfit.maps.pixel.settings import Flag, MapSettings
@@ -48,17 +48,13 @@ class _Try(NamedTuple):
     unsettled: Bool[Array, " pixels"]
 
 
-def fit_shared(tile: Tile, given: Given, settings: MapSettings) -> PixelFit:
-    """Fit normal, matte light and material of a tile's pixels, block by block."""
-    return in_two_passes(
-        tile, lambda part, thorough: _fit_block(part, given, thorough, settings)
-    )
-
-
-def _fit_block(
+def fit_shared(
     tile: Tile, given: Given, thorough: Bool[Array, ""], settings: MapSettings
 ) -> tuple[PixelFit, Bool[Array, " pixels"]]:
-    """Fit one block; see [`phongfit.maps.pixel.block.fit_block`][]."""
+    """Fit normal, matte light and material of one block of pixels.
+
+    See [`phongfit.maps.pixel.block.fit_block`][].
+    """
     outside, bases = given
     own, which = held(settings), sought(settings)
     samples, lost = samples_of(tile, outside, settings)

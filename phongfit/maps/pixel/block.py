@@ -50,7 +50,7 @@ def in_two_passes(tile: Tile, fit: Callable[[Tile, Array], tuple[T, Array]]) -> 
     """
     pixels = tile.normal.shape[0]
     # Jitted, so that it is traced once for `eval_shape` and for the loop.
-    fit_block = jax.jit(fit)
+    compiled = jax.jit(fit)
 
     def work(state: _Work) -> _Work:
         start = state.block * BLOCK
@@ -59,7 +59,7 @@ def in_two_passes(tile: Tile, fit: Callable[[Tile, Array], tuple[T, Array]]) -> 
         part = jax.lax.cond(
             thorough, lambda: tile.rows(these), lambda: tile.span(start, BLOCK)
         )
-        result, unsettled = fit_block(part, thorough)
+        result, unsettled = compiled(part, thorough)
         (which,) = jnp.nonzero(unsettled & ~thorough, size=BLOCK, fill_value=BLOCK)
         more = jnp.take(these, which, mode="fill", fill_value=pixels)
         following = state.block + 1
@@ -78,7 +78,7 @@ def in_two_passes(tile: Tile, fit: Callable[[Tile, Array], tuple[T, Array]]) -> 
 
     zero = jnp.zeros((), int)
     span = tile.span(zero, BLOCK)
-    shapes, _ = jax.eval_shape(fit_block, span, jnp.array(False))
+    shapes, _ = jax.eval_shape(compiled, span, jnp.array(False))
     first = _Work(
         zero,
         jax.tree.map(
@@ -109,31 +109,29 @@ class _Work(NamedTuple):
 @functools.partial(
     jax.jit, static_argnames=("settings", "fit"), compiler_options=KEEP_BARRIERS
 )
-def run(
-    tile: Tile, outside: Any, settings: MapSettings, fit: Callable[..., Any]
+def fit_tile(
+    tile: Tile, among: Any, settings: MapSettings, fit: Callable[..., Any]
 ) -> dict[str, Array]:
-    """The arrays of `fit(tile, outside, settings)`, by their names in files."""
-    return fit(tile, outside, settings).arrays()
-
-
-# Efficiency of a median of absolute values as a measure of scale: Hampel, *The
-# influence curve and its role in robust estimation*, J. Am. Stat. Assoc. 69(346), 1974.
-MEDIAN = 0.37
-
-
-def fit_tile(tile: Tile, outside: Outside, settings: MapSettings) -> PixelFit:
     """Fit the material, and the normal if unknown, of a tile's pixels.
 
     **Arguments:**
 
     - `tile`: a multiple of [`BLOCK`][] pixels; unknown normals are not read.
-    - `outside`, `settings`: equal for all tiles.
+    - `among`, `settings`: equal for all tiles.
+    - `fit`: [`fit_block`][], or a function like it for other inputs `among`.
 
-    **Returns:** a [`PixelFit`][] whose arrays have the pixels as their first axis.
+    **Returns:** the arrays of a [`PixelFit`][] by their names in files, with the pixels
+    as their first axis.
     """
-    return in_two_passes(
-        tile, lambda part, thorough: fit_block(part, outside, thorough, settings)
+    fitted = in_two_passes(
+        tile, lambda part, thorough: fit(part, among, thorough, settings)
     )
+    return fitted.arrays()
+
+
+# Efficiency of a median of absolute values as a measure of scale: Hampel, *The
+# influence curve and its role in robust estimation*, J. Am. Stat. Assoc. 69(346), 1974.
+MEDIAN = 0.37
 
 
 def fit_block(
