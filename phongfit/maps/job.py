@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from phongfit.edge import shown
-from phongfit.files.coded import Coded
 from phongfit.files.zarrs import Window, cut
 from phongfit.fitting.problem.losses import as_loss
 from phongfit.fitting.problem.parameters import DEFAULT_BOUNDS
@@ -101,30 +100,6 @@ class Geometry:
             visibility=None if seen is None else seen[..., pixels],
         )
 
-    def tile(
-        self, pixels: np.ndarray, target: Coded, used: np.ndarray, size: int
-    ) -> Tile:
-        """The tile of some pixels, padded to `size` pixels."""
-        missing = size - len(pixels)
-
-        def fill(samples: np.ndarray) -> np.ndarray:
-            if not missing:
-                return samples
-            return np.pad(samples, ((0, 0), (0, missing), (0, 0)))
-
-        some = self.take(np.pad(pixels, (0, missing), mode="edge"))
-        seen = some.visibility
-        return Tile(
-            fill(target.numbers),
-            fill(used),
-            some.normal,
-            some.position,
-            some.to_viewer,
-            None if seen is None else seen.astype(some.normal.dtype),
-            target.table,
-            np.array(len(pixels)),
-        )
-
 
 @dataclasses.dataclass(frozen=True)
 class Job:
@@ -157,19 +132,35 @@ class Job:
 
     def tile(self, pixels: np.ndarray, size: int) -> Tile:
         """The tile of some pixels, padded to `size` pixels that are not used."""
-        order = self.outside.lighting.order
-        target = take_alone(self.stack, pixels, order)
-        hidden = np.ma.getmask(target.numbers)
-        used = self.masks.take(pixels, order) & ~hidden
+        lighting, missing = self.outside.lighting, size - len(pixels)
+        order = lighting.order
+        numbers, table = take_alone(self.stack, pixels, order)
+        used = self.masks.take(pixels, order) & ~np.ma.getmask(numbers)
         used = self.noise.weigh(used, pixels, order)
-        target = target._replace(numbers=np.ma.getdata(target.numbers))
-        tile = self.geometry.tile(pixels, target, used, size)
-        if tile.visibility is None and self.settings.normals == "fit":
+
+        def fill(samples: np.ndarray) -> np.ndarray:
+            if not missing:
+                return samples
+            return np.pad(samples, ((0, 0), (0, missing), (0, 0)))
+
+        some = self.geometry.take(np.pad(pixels, (0, missing), mode="edge"))
+        seen, dtype = some.visibility, some.normal.dtype
+        if seen is not None:
+            seen = seen.astype(dtype)
+        elif self.settings.normals == "fit":
             # Later passes have shadows: with this array one program serves all passes.
-            shape = len(order), self.outside.lighting.lobes, size
-            everything = np.broadcast_to(np.ones((), tile.normal.dtype), shape)
-            tile = tile._replace(visibility=everything)
-        return tile
+            shape = len(order), lighting.lobes, size
+            seen = np.broadcast_to(np.ones((), dtype), shape)
+        return Tile(
+            fill(np.ma.getdata(numbers)),
+            fill(used),
+            some.normal,
+            some.position,
+            some.to_viewer,
+            seen,
+            table,
+            np.array(len(pixels)),
+        )
 
     def part(self, window: Window) -> "Job":
         """The job of a rectangle, whose images are read."""
