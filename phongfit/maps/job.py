@@ -232,25 +232,6 @@ def make_job(
     *,
     mask: Any = None,
     noise: Any = None,
-    **options: Any,
-) -> Job:
-    """A job from the arguments of [`fit_maps`][]; `options` are those of [`settle`][].
-
-    **Raises:** `ValueError` that names the argument.
-    """
-    scenes = check_scenes(scenes)
-    check_sizes(scenes, stack.shape)
-    levels = Noise(noise, stack.shape)
-    settings, outside = settle(scenes, levels, **options)
-    unknowns = tuple(options.get("unknowns", MAP_PARAMETERS))
-    masks = mask_layers(mask, stack.shape)
-    return Job(scenes, stack, unknowns, settings, outside, masks, levels)
-
-
-def settle(
-    scenes: tuple[Scene, ...],
-    noise: Noise,
-    *,
     unknowns: Sequence[str] = MAP_PARAMETERS,
     per_channel: Sequence[str] = ("ambient", "diffuse", "specular"),
     known: Material | None = None,
@@ -261,11 +242,14 @@ def settle(
     materials: int | Literal["auto"] | None = None,
     start: Any = None,
     min_cosine: float = 0.0,
-) -> tuple[MapSettings, Outside]:
-    """Check the arguments, and return settings and inputs that all pixels share.
+) -> Job:
+    """A job from the arguments of [`fit_maps`][].
 
     **Raises:** `ValueError` that names the argument.
     """
+    scenes = check_scenes(scenes)
+    check_sizes(scenes, stack.shape)
+    levels = Noise(noise, stack.shape)
     sought = normals == "fit"
     bounds = bounds or {}
     names = _check_names(scenes, unknowns, per_channel, bounds, sought)
@@ -279,7 +263,7 @@ def settle(
     if sought:
         _check_sought(names, per_channel, min_cosine, scenes, power)
     _check_materials(materials, names, sought, start)
-    common = _as_one(film, noise)
+    common = _as_one(film, levels)
     settings = MapSettings(
         names=names,
         bounds=tuple(_bound(name, bounds) for name in MAP_PARAMETERS),
@@ -289,8 +273,8 @@ def settle(
         loss=as_loss(("cauchy" if sought else "linear") if loss is None else loss),
         scanned=start is None,
         min_cosine=float(min_cosine),
-        noise_given=noise.known,
-        weighted=noise.varies,
+        noise_given=levels.known,
+        weighted=levels.varies,
         normals=normals,
         one_specular=sought and "specular" in names and "specular" not in per_channel,
         materials=materials,
@@ -298,7 +282,9 @@ def settle(
         exactly=common is None,
     )
     check_enough(settings, len(scenes))
-    return settings, make_outside(make_lighting(scenes), settings, known, start, noise)
+    outside = make_outside(make_lighting(scenes), settings, known, start, levels)
+    masks = mask_layers(mask, stack.shape)
+    return Job(scenes, stack, tuple(unknowns), settings, outside, masks, levels)
 
 
 def _check_names(
