@@ -147,13 +147,6 @@ class Noise:
                 )
         self.level = 1.0 if self.varies else float(self._layers.arrays[0])
 
-    @property
-    def arrays(self) -> list[np.ndarray] | float | None:
-        """The arrays or the number that were given; `None` if it is unknown."""
-        if self.varies:
-            return self._layers.arrays
-        return self.level if self.known else None
-
     def weigh(
         self,
         used: Bool[np.ndarray, "some_images n some_channels"],
@@ -187,6 +180,6 @@ class Noise:
         return np.sqrt(squares / len(layers))
 
     def identify(self, update: Update) -> None:
-        """Feed noise that varies to a checksum; `identify_lights` covers one level."""
+        """Feed noise that varies to a checksum; that of the lights covers one level."""
         if self.varies:
             self._layers.identify(update)

@@ -681,10 +681,7 @@ def checked_maps(arrays: dict[str, np.ndarray]) -> Maps:
     if "normals" not in arrays:
         # Files of version 1 may have neither normals nor a view.
         lacking = ("normals", "normals_stderr", "depth")
-        arrays = arrays | {
-            name: np.full((*size, *layers[name].channels), layers[name].outside, float)
-            for name in lacking
-        }
+        arrays = arrays | {name: layers[name].full(size, float) for name in lacking}
         arrays["view"] = np.array("{}")
     maps: dict[str, Any] = {
         name: _taken(arrays, name, (*size, *layer.channels), layer)
