@@ -181,26 +181,21 @@ def fit_maps(
     be written, another run writes there, or the cluster is gone. Finished blocks stay.
     """
     specification = _specified(specification, changes, normals == "fit")
-    unknowns, per_channel = specification.unknowns, specification.per_channel
-    known, bounds = specification.known, specification.bounds
-    film, loss = specification.film, specification.loss
     instead = "fit_maps is no function that JAX can trace"
-    untraced(instead, scenes=scenes, images=images, known=known, mask=mask, noise=noise)
+    arguments = {"known": specification.known, "mask": mask, "noise": noise}
+    untraced(instead, scenes=scenes, images=images, **arguments)
     if output is not None:
         warn_deprecated("fit_maps(output=...) goes in 0.4; write out=...", deeper=1)
         if out is not None:
             raise ValueError("output: expected its new name out alone, got both")
         out = output
     stack = as_stack(images)
-    options: dict[str, Any] = {
-        "unknowns": unknowns,
-        "per_channel": per_channel,
-        "known": known,
-        "bounds": bounds,
-        "mask": mask,
-        "noise": noise,
-        "film": film,
-        "loss": loss,
+    options: dict[str, Any] = arguments | {
+        "unknowns": specification.unknowns,
+        "per_channel": specification.per_channel,
+        "bounds": specification.bounds,
+        "film": specification.film,
+        "loss": specification.loss,
         "normals": normals,
         "materials": materials,
         "start": start,
@@ -242,7 +237,7 @@ def fit_maps(
     scenes, sought = check_scenes(scenes), normals == "fit"
     passes = passes or (usual_passes(scenes) if sought and load else 1)
     if strengths != "given":
-        options["bounds"] = {"diffuse": (0.0, np.inf)} | dict(bounds or {})
+        options["bounds"] = {"diffuse": (0.0, np.inf), **specification.bounds}
     job = make_job(scenes, stack, **options)
     # Checked before older maps in `out` are removed, or a new store is made.
     if not load:
