@@ -42,7 +42,6 @@ from phongfit.calibration.outlines import (
 from phongfit.calibration.result import CalibratedSphere, Calibration, Lamp
 from phongfit.calibration.spheres import (
     Crop,
-    Developed,
     Images,
     Kind,
     Outline,
@@ -121,7 +120,8 @@ def calibrate(
         photographs, names, [outline for _, outline in outlines], (height, width)
     )
     spheres = _placed(outlines, crops, view, warnings)
-    film = photographs.film if isinstance(photographs, Developed) else Film(clamp=False)
+    # A capture knows its film.
+    film = getattr(photographs, "film", Film(clamp=False))
     setup = _set_up(names, view, radius, lamps, spheres, crops, film, warnings)
     shaded = None if setup.matte is None else setup.matte.shaded
     mirrors = zip(crops, setup.chrome.outlines, strict=False)
@@ -167,7 +167,7 @@ def _outlines(
     warnings: list[str],
 ) -> list[tuple[Kind, Outline]]:
     if not chrome and matte is None:
-        found = find_spheres(photographs, names, (view.height, view.width))
+        found = find_spheres(photographs, names)
         mattes = [outline for kind, outline in found if kind == "matte"]
         if len(mattes) > 1:
             words = (

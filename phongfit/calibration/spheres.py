@@ -1,7 +1,8 @@
 """Spheres in photographs: find, classify and crop them."""
 
+import itertools
 from collections.abc import Iterator, Sequence
-from typing import Literal, NamedTuple, Protocol, runtime_checkable
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -18,7 +19,6 @@ from phongfit.calibration.circles import (
 from phongfit.calibration.highlights import find_highlights
 from phongfit.calibration.matte import points_on, shaded_directions
 from phongfit.calibration.outlines import View, seen, stretch
-from phongfit.rendering.film import Film
 from phongfit.rendering.render import block_means
 
 Kind = Literal["chrome", "matte"]
@@ -46,14 +46,6 @@ radius are larger, since its rim mirrors the background and has little contrast.
 NESTED = 0.9
 """Smallest radius of such an outline, in radii of the given circle: a chrome sphere
 mirrors its surroundings as smaller circles."""
-
-
-@runtime_checkable
-class Developed(Protocol):
-    """Photographs with a known film."""
-
-    @property
-    def film(self) -> Film: ...
 
 
 class Crop(NamedTuple):
@@ -200,21 +192,28 @@ def _seen_near(
     return placed
 
 
+def _shrunk(
+    photographs: Images, names: Sequence[str]
+) -> tuple[Float[np.ndarray, "count height width"], int]:
+    """Grey photographs of at most [`SEARCHED`][] pixels, and how often smaller."""
+    images = looked_at(photographs, names)
+    first = next(images)
+    shrink = max(1, -(-max(first.shape) // SEARCHED))
+    every = itertools.chain([first], images)
+    return np.stack([block_means(one, shrink).mean(axis=-1) for one in every]), shrink
+
+
 def find_spheres(
-    photographs: Images, names: Sequence[str], size: tuple[int, int]
+    photographs: Images, names: Sequence[str]
 ) -> list[tuple[Kind, Outline]]:
     """Search for spheres: round outlines whose inside looks like a sphere.
 
     A sphere is matte if Lambert's law explains its light, and chrome if it shows a
     compact highlight in nearly every photograph, which moves with the lamp.
 
-    **Arguments:** `size`: as in [`cut_out`][].
-
     **Raises:** `ValueError` with the likeliest circles, if there is no sphere.
     """
-    shrink = max(1, -(-max(size) // SEARCHED))
-    images = looked_at(photographs, names)
-    small = np.stack([block_means(image, shrink).mean(axis=-1) for image in images])
+    small, shrink = _shrunk(photographs, names)
     found = []
     circles = find_circles(small)
     for placed in outermost(c for c in circles if c.coverage >= SEEN):
@@ -244,11 +243,8 @@ def find_ball(photographs: Images, names: Sequence[str]) -> Outline | None:
     **Returns:** x, y and radius in pixels from the upper left corner; `None` if no
     circle is clear enough.
     """
-    images = looked_at(photographs, names)
-    first = next(images)
-    shrink = max(1, -(-max(first.shape) // SEARCHED))
-    small = [block_means(one, shrink).mean(axis=-1) for one in (first, *images)]
-    found = find_largest_arc(np.stack(small))
+    small, shrink = _shrunk(photographs, names)
+    found = find_largest_arc(small)
     return None if found is None else found.outline * shrink
 
 
