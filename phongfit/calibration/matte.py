@@ -427,7 +427,8 @@ def find_strengths(
             shown, slope = model[lit], by_step[lit]
             light = points.light[number, lit, channel] - matte.ambient[channel]
             line = _line(light, shown[:, None], points.block[lit])
-            strength, squared = _strength(shown, light), shown @ shown
+            squared = shown @ shown
+            strength = shown @ light / squared
             # Derivative of the ratio of sums in the least squares solution.
             by_model = light @ slope - 2 * strength * (shown @ slope)
             slopes[number, channel, unknowns] = by_model / squared
@@ -500,7 +501,3 @@ def _read_back(
     if film.jpeg is not None:
         stored = compressed(levels, film.jpeg)
     return decode(np.clip((stored - shift) / share / 255, 0, 1), film.encoding)
-
-
-def _strength(model: np.ndarray, light: np.ndarray) -> float:
-    return float(model @ light / (model @ model))
