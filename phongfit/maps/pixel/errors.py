@@ -106,7 +106,8 @@ def standard_errors(
     - `follow`: function from log exponents, (exponents, pixels), and flags of pixels to
         the profile of these pixels.
     """
-    everything = _all(sums)
+    pulls = Free(sums.pull_own, sums.pull_shared)
+    everything = jax.tree.map(lambda pull: jnp.ones(pull.shape, bool), pulls)
     spread = _spread(sums, everything)
     dim = jnp.zeros(sigma.shape, bool)
     if which.exponent:
@@ -252,13 +253,6 @@ def _widened(
         jnp.maximum(widths.exponent, most(off, beside)),
         vague & flat,
     )
-
-
-def _all(sums: Sums) -> Free:
-    def free(pulls: Numbers) -> Numbers:
-        return tuple(jnp.ones(pull.shape, bool) for pull in pulls)
-
-    return Free(free(sums.pull_own), free(sums.pull_shared))
 
 
 def _spread(sums: Sums, free: Free) -> Spread:

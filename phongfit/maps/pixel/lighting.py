@@ -47,15 +47,12 @@ class Lighting(eqx.Module):
     @property
     def directed(self) -> np.ndarray:
         """True for directed lights, (images, lobes); rows as in `order`."""
-        images = sum(kind.ambient.shape[0] for kind in self.kinds)
-        directed = np.zeros((images, self.lobes), bool)
-        first = 0
+        rows = []
         for kind in self.kinds:
-            last = first + kind.ambient.shape[0]
-            for k, light in enumerate(kind.lights):
-                directed[first:last, k] = light.directed
-            first = last
-        return directed
+            row = np.zeros(self.lobes, bool)
+            row[: len(kind.lights)] = [light.directed for light in kind.lights]
+            rows += [row] * kind.ambient.shape[0]
+        return np.array(rows)
 
     @property
     def surrounds(self) -> bool:
