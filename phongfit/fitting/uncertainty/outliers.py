@@ -8,6 +8,8 @@ or a passer-by, bias least squares, and any loss that does not reject them.
     be with some samples left out, to first order.
 """
 
+from collections.abc import Iterator
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -43,7 +45,7 @@ class _Far(eqx.Module):
 
 def outlier_words(
     problem: Problem, y: Float[Array, " n"], sums: SandwichSums
-) -> tuple[str, ...]:
+) -> Iterator[str]:
     """A warning, if samples that are far off move an estimate by its standard error.
 
     **Arguments:**
@@ -53,7 +55,7 @@ def outlier_words(
     """
     heavy = float(sums.tails) > HEAVY and not bool(sums.exact)
     if not problem.loss.robust and not heavy:
-        return ()
+        return
     far, unknowns = _far(problem, y), problem.unknowns
     position = np.asarray(y)
     free = (np.asarray(unknowns.lower) < position) & (
@@ -63,19 +65,17 @@ def outlier_words(
     most = int(np.argmax(shifts))
     # A highlight of another shape than the model's is not an outlier.
     if shifts[most] < FELT or gathered_at_highlights(problem, y, far.which).any():
-        return ()
+        return
     count = int(jnp.sum(far.which))
     share = 100 * count / int(far.used)
     other = '"tukey"' if problem.loss.robust else '"cauchy" or "tukey"'
-    return (
-        coded(
-            "outliers",
-            f"outliers: {count} samples ({share:.2g} %) lie more than {FAR:g} standard "
-            "deviations off the model and bias the estimates, "
-            f"{unknowns.free_labels[most]} by {shifts[most]:.1f} of its standard "
-            "errors",
-            f"Leave them out by a mask, or try loss={other}",
-        ),
+    yield coded(
+        "outliers",
+        f"outliers: {count} samples ({share:.2g} %) lie more than {FAR:g} standard "
+        "deviations off the model and bias the estimates, "
+        f"{unknowns.free_labels[most]} by {shifts[most]:.1f} of its standard "
+        "errors",
+        f"Leave them out by a mask, or try loss={other}",
     )
 
 

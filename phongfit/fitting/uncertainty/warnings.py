@@ -29,11 +29,11 @@ CONTRADICTION = 4.0
 SEPARATE, DISTANT, NAMED = 3.0, 5.0, 3
 
 
-def misfit_words(misfit: Misfit, images: int) -> tuple[str, ...]:
+def misfit_words(misfit: Misfit, images: int) -> Iterator[str]:
     """Warning of residuals that are not noise."""
     correlation = misfit.neighbour_correlation
     if not misfit.significant and correlation <= CORRELATED:
-        return ()
+        return
     widened = math.sqrt(misfit.inflation)
     shown = [f"neighbouring pixels correlate by {correlation:.2f}"]
     if misfit.significant:
@@ -44,45 +44,39 @@ def misfit_words(misfit: Misfit, images: int) -> tuple[str, ...]:
             f"column {misfit.column}{image}",
             *(shown if correlation > CORRELATED else []),
         ]
-    return (
-        coded(
-            "lack-of-fit",
-            f"residuals are not noise: {'; '.join(shown)}. The model does not describe "
-            f"the image fully; errors are widened {widened:.1f} times, which does not "
-            "cover a bias",
-        ),
+    yield coded(
+        "lack-of-fit",
+        f"residuals are not noise: {'; '.join(shown)}. The model does not describe "
+        f"the image fully; errors are widened {widened:.1f} times, which does not "
+        "cover a bias",
     )
 
 
-def plateau_words(plateau: Plateau | None, film: Film) -> tuple[str, ...]:
+def plateau_words(plateau: Plateau | None, film: Film) -> Iterator[str]:
     """Warning of images that were cut off below white."""
     if plateau is None:
-        return ()
+        return
     value = f"{plateau.value:.4g}"
     if film.bits is not None:
         highest = 2**film.bits - 1
         level = float(encode(np.float64(plateau.value), film.encoding)) * highest
         value += f" (the number {level:.0f} of {highest})"
-    return (
-        coded(
-            "low-white",
-            f"{plateau.n_samples:,} samples share the largest value, {value}, and few "
-            "lie just below it: they are saturated, and white is not 1",
-        ),
+    yield coded(
+        "low-white",
+        f"{plateau.n_samples:,} samples share the largest value, {value}, and few "
+        "lie just below it: they are saturated, and white is not 1",
     )
 
 
-def clipped_words(sums: SandwichSums, effective: int, samples: int) -> tuple[str, ...]:
+def clipped_words(sums: SandwichSums, effective: int, samples: int) -> Iterator[str]:
     """Warning of a noise level that is estimated from too few unclipped samples."""
     enough = effective >= max(FEW, FEW_SHARE * samples)
     if effective == samples or (enough and not _drifts(sums, effective)):
-        return ()
-    return (
-        coded(
-            "few-unclipped",
-            f"{samples - effective:,} of {samples:,} samples are clipped: the noise is "
-            "estimated from the others, and its own error is not in those stated",
-        ),
+        return
+    yield coded(
+        "few-unclipped",
+        f"{samples - effective:,} of {samples:,} samples are clipped: the noise is "
+        "estimated from the others, and its own error is not in those stated",
     )
 
 
@@ -106,44 +100,38 @@ _SUMMED = {
 }
 
 
-def coarse_words(films: Iterable[Film]) -> tuple[str, ...]:
+def coarse_words(films: Iterable[Film]) -> Iterator[str]:
     """Warning of JPEG files so compressed that simulated errors are too small."""
     if not any(film.jpeg is not None and film.jpeg.is_coarse for film in films):
-        return ()
-    return (
-        coded(
-            "coarse-jpeg",
-            "a JPEG file is compressed as at quality 35 or below: most of the "
-            "highlight's colour is rounded to zero, and errors of specular may be too "
-            "small by half",
-        ),
+        return
+    yield coded(
+        "coarse-jpeg",
+        "a JPEG file is compressed as at quality 35 or below: most of the "
+        "highlight's colour is rounded to zero, and errors of specular may be too "
+        "small by half",
     )
 
 
-def grid_words(significance: float) -> tuple[str, ...]:
+def grid_words(significance: float) -> Iterator[str]:
     """Warning of an image from a JPEG file whose compression was not given."""
     if significance <= SIGNIFICANT:
-        return ()
-    return (
-        coded(
-            "jpeg-blocks",
-            f"residuals jump between blocks of {SIDE} × {SIDE} pixels "
-            f"({significance:.2g} σ), as in a JPEG file, whose rounding errors are "
-            "correlated: errors may be several times too small",
-        ),
+        return
+    yield coded(
+        "jpeg-blocks",
+        f"residuals jump between blocks of {SIDE} × {SIDE} pixels "
+        f"({significance:.2g} σ), as in a JPEG file, whose rounding errors are "
+        "correlated: errors may be several times too small",
     )
 
 
-def spread_words(spread: float) -> tuple[str, ...]:
+def spread_words(spread: float) -> Iterator[str]:
     """Warning of residuals that are larger than the given noise."""
     if spread == 1:
-        return ()
-    return (
-        coded(
-            "noise-level",
-            f"residuals are {spread:.1f} times as large as the noise that was given: "
-            "the noise or the model is wrong; errors are widened by this factor",
-        ),
+        return
+    yield coded(
+        "noise-level",
+        f"residuals are {spread:.1f} times as large as the noise that was given: "
+        "the noise or the model is wrong; errors are widened by this factor",
     )
 
 
