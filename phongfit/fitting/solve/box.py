@@ -1,7 +1,5 @@
 """Minimisation of a convex quadratic in a box, for bounded least-squares steps."""
 
-import abc
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -58,41 +56,43 @@ def least_squares_in_box(
     return _active_set(_SquaresForm(matrix, residual, damping), lower, upper)
 
 
-class _AbstractQuadratic(eqx.Module):
-    """A convex quadratic, with the functions that an active-set method needs."""
+class _HessianForm(eqx.Module):
+    """A convex quadratic by its Hessian, and its gradient at 0."""
 
-    @abc.abstractmethod
-    def slope(self, point: Float[Array, " n"]) -> Float[Array, " n"]:
-        """Gradient."""
-
-    @abc.abstractmethod
-    def summands(self, point: Float[Array, " n"]) -> Float[Array, " n"]:
-        """Sum of absolute summands of the gradient, which determines its rounding."""
-
-    @abc.abstractmethod
-    def newton(
-        self, point: Float[Array, " n"], free: Bool[Array, " n"]
-    ) -> Float[Array, " n"]:
-        """Step of the free entries to their minimum; the others stay."""
-
-
-class _HessianForm(_AbstractQuadratic):
     hessian: Float[Array, "n n"]
     gradient: Float[Array, " n"]
 
     def slope(self, point: Float[Array, " n"]) -> Float[Array, " n"]:
+        """Gradient."""
         return self.gradient + self.hessian @ point
-
-    def summands(self, point: Float[Array, " n"]) -> Float[Array, " n"]:
-        return jnp.abs(self.gradient) + jnp.abs(self.hessian) @ jnp.abs(point)
 
     def newton(
         self, point: Float[Array, " n"], free: Bool[Array, " n"]
     ) -> Float[Array, " n"]:
-        return _solve_free(self.hessian, self.slope(point), free)
+        """Step of the free entries to their minimum; the others stay."""
+        slope, both = self.slope(point), free[:, None] & free[None, :]
+        identity = jnp.eye(slope.shape[0], dtype=slope.dtype)
+        # Scaled to a unit diagonal, so that units do not decide what counts as
+        # singular.
+        scale = jax.lax.rsqrt(jnp.diag(self.hessian))
+        scaled = self.hessian * scale[:, None] * scale[None, :]
+        scaled = jnp.where(both, scaled, identity)
+        wanted = jnp.where(free, slope * scale, 0)
+
+        def solve(ridge: float) -> Float[Array, " n"]:
+            factor = jax.scipy.linalg.cho_factor(scaled + ridge * identity)
+            step = -jax.scipy.linalg.cho_solve(factor, wanted) * scale
+            return jnp.where(free, step, 0)
+
+        # Rounding can make a singular matrix indefinite: then a larger ridge is used.
+        step = solve(8 * slope.shape[0] * float(jnp.finfo(slope.dtype).eps))
+        sound = jnp.all(jnp.isfinite(step))
+        return jax.lax.cond(sound, lambda: step, lambda: solve(1e-3))
 
 
-class _SquaresForm(_AbstractQuadratic):
+class _SquaresForm(eqx.Module):
+    """A convex quadratic as half of a damped sum of squares, with the same methods."""
+
     matrix: Float[Array, "m n"]
     residual: Float[Array, " m"]
     damping: Float[Array, " n"]
@@ -100,11 +100,6 @@ class _SquaresForm(_AbstractQuadratic):
     def slope(self, point: Float[Array, " n"]) -> Float[Array, " n"]:
         left = self.matrix @ point + self.residual
         return self.matrix.T @ left + self.damping * (self.damping * point)
-
-    def summands(self, point: Float[Array, " n"]) -> Float[Array, " n"]:
-        matrix, size = jnp.abs(self.matrix), jnp.abs(point)
-        left = matrix @ size + jnp.abs(self.residual)
-        return matrix.T @ left + self.damping * (self.damping * size)
 
     def newton(
         self, point: Float[Array, " n"], free: Bool[Array, " n"]
@@ -132,9 +127,13 @@ class _State(eqx.Module):
 
 
 def _active_set(
-    quadratic: _AbstractQuadratic, lower: Float[Array, " n"], upper: Float[Array, " n"]
+    quadratic: _HessianForm | _SquaresForm,
+    lower: Float[Array, " n"],
+    upper: Float[Array, " n"],
 ) -> Float[Array, " n"]:
     size = lower.size
+    # Its slope is a sum of absolute summands, which determines a slope's rounding.
+    absolute = jax.tree.map(jnp.abs, quadratic)
     start = jnp.clip(jnp.zeros_like(lower), lower, upper)
     # A multiplier this small is rounding; freeing its entry could cycle.
     small = 8 * jnp.finfo(lower.dtype).eps
@@ -154,7 +153,7 @@ def _active_set(
 
         # All free entries are optimal: does a multiplier of a held one have the wrong
         # sign?
-        slope, noise = quadratic.slope(moved), small * quadratic.summands(moved)
+        slope, noise = quadratic.slope(moved), small * absolute.slope(jnp.abs(moved))
         inwards = jnp.where(moved <= lower, -slope, slope)
         wish = jnp.where(~state.free & (lower < upper), inwards - noise, -jnp.inf)
         eager = jnp.argmax(wish)
@@ -168,24 +167,3 @@ def _active_set(
 
     first = _State(start, lower < upper, jnp.array(False), jnp.array(0))
     return jax.lax.while_loop(unfinished, step, first).point
-
-
-def _solve_free(
-    hessian: Float[Array, "n n"], slope: Float[Array, " n"], free: Bool[Array, " n"]
-) -> Float[Array, " n"]:
-    """Newton step of the free entries; the others stay."""
-    both = free[:, None] & free[None, :]
-    identity = jnp.eye(slope.shape[0], dtype=slope.dtype)
-    # Scaled to a unit diagonal, so that units do not decide what counts as singular.
-    scale = jax.lax.rsqrt(jnp.diag(hessian))
-    scaled = jnp.where(both, hessian * scale[:, None] * scale[None, :], identity)
-    wanted = jnp.where(free, slope * scale, 0)
-
-    def solve(ridge: float) -> Float[Array, " n"]:
-        factor = jax.scipy.linalg.cho_factor(scaled + ridge * identity)
-        return jnp.where(free, -jax.scipy.linalg.cho_solve(factor, wanted) * scale, 0)
-
-    # Rounding can make a singular matrix indefinite: then a larger ridge is used.
-    step = solve(8 * slope.shape[0] * float(jnp.finfo(slope.dtype).eps))
-    sound = jnp.all(jnp.isfinite(step))
-    return jax.lax.cond(sound, lambda: step, lambda: solve(1e-3))
