@@ -145,39 +145,17 @@ def find_misfit(
         correlation, ratio = _compare_neighbours(images)
         channels = _compare_channels(images)
     seen = _look(blocks, groups, side, scale, channels)
-    if seen.worst.significance > SIGNIFICANT and channels > 0:
+    if seen.significant and channels > 0:
         # A misfit correlates the channels, but is not shared noise.
         seen = _look(blocks, groups, side, scale, 0.0)
-    maps = tuple(_in_deviations(one) for one in seen.cells)
-    image = int(np.argmax([np.abs(one).max() for one in maps]))
-    row, column = np.unravel_index(np.argmax(np.abs(maps[image])), maps[image].shape)
-    return Misfit(
-        correlation,
-        channels,
-        unequal,
-        ratio,
-        seen.worst.significance,
-        max(variance_inflation(correlation), seen.inflation),
-        seen.along,
-        seen.side,
-        image,
-        int((row + 0.5) * seen.side),
-        int((column + 0.5) * seen.side),
-        maps,
+    return dataclasses.replace(
+        seen,
+        neighbour_correlation=correlation,
+        channel_correlation=channels,
+        unequal=unequal,
+        over_repeatability=ratio,
+        inflation=max(variance_inflation(correlation), seen.inflation),
     )
-
-
-class _Seen(NamedTuple):
-    """The most significant verdict, its kind of cells, and the blocks to show it.
-
-    `inflation` is the largest of the significant verdicts.
-    """
-
-    worst: _Verdict
-    along: str
-    inflation: float
-    side: int
-    cells: Sequence[_Cells]
 
 
 def _look(
@@ -186,8 +164,11 @@ def _look(
     side: int,
     scale: np.ndarray,
     channels: float,
-) -> _Seen:
-    """Test blocks of all sizes, and groups of tiles with equal light.
+) -> Misfit:
+    """The most significant misfit of blocks of all sizes and of groups of equal light.
+
+    `inflation` is the largest of all that are significant. Correlations and noise are
+    not judged.
 
     **Arguments:**
 
@@ -203,16 +184,27 @@ def _look(
             asked += _along_the_model(levels[size], level, groups)
         if size >= LEAST_SIDE:
             asked.append((_joined(levels[size]), "blocks", size))
-    if not asked:
-        return _Seen(_Verdict(0.0, 1.0), "blocks", 1.0, side, levels[side])
     found = [(_judge(cells), along, size) for cells, along, size in asked]
-    worst, along, _ = max(found, key=lambda one: one[0].significance)
+    found = found or [(_Verdict(0.0, 1.0), "blocks", side)]
     in_blocks = [one for one in found if one[1] == "blocks"]
-    shown = (
-        max(in_blocks, key=lambda one: one[0].significance)[2] if in_blocks else side
-    )
+    worst, along, _ = max(found, key=lambda one: one[0].significance)
+    shown = side
+    if in_blocks:
+        shown = max(in_blocks, key=lambda one: one[0].significance)[2]
     significant = [v.inflation for v, *_ in found if v.significance > SIGNIFICANT]
-    return _Seen(worst, along, max([1.0, *significant]), shown, levels[shown])
+    maps = tuple(_in_deviations(one) for one in levels[shown])
+    image = int(np.argmax([np.abs(one).max() for one in maps]))
+    row, column = np.unravel_index(np.argmax(np.abs(maps[image])), maps[image].shape)
+    return Misfit(
+        significance=worst.significance,
+        inflation=max([1.0, *significant]),
+        along=along,
+        side=shown,
+        image=image,
+        row=int((row + 0.5) * shown),
+        column=int((column + 0.5) * shown),
+        maps=maps,
+    )
 
 
 def _as_blocks(tiles: Tiles, drawn: Drawn | None) -> _Blocks:
