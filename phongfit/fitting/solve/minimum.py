@@ -1,5 +1,6 @@
 """The solution of a fit: search, edges, and the correction for JPEG."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -52,11 +53,6 @@ def find_minimum(data: FitData) -> Minimum:
     drawn = None
     if any(film.jpeg is not None for film in data.films):
         found, sources, drawn = restore(found, sources, data.films, *how, data.side)
-    found = SearchResult(
-        found.problem,
-        polish(found.problem, found.y),
-        found.converged,
-        found.steps,
-        first.rival,
-    )
+    polished = polish(found.problem, found.y)
+    found = dataclasses.replace(found, y=polished, rival=first.rival)
     return Minimum(found, sources, at_edges, drawn)

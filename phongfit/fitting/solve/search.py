@@ -132,13 +132,7 @@ def search(
             # Solve once on few samples; with several starts that has been done.
             states = [_settle(problem, states[0], max_steps, noise_given, True)]
     ends = [
-        _end(
-            Problem(samples, here.unknowns, sigma, loss, clamp, None, tolerance),
-            state,
-            max_steps,
-            noise_given,
-            near,
-        )
+        _end(_posed_anew(here, samples, sigma), state, max_steps, noise_given, near)
         for (here, _), state in zip(ways, states, strict=True)
     ]
     return ends[0] if len(ends) == 1 else _best_end(ends)
