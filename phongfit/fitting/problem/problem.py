@@ -118,9 +118,13 @@ class Problem(eqx.Module):
     def costs(self, y: Float[Array, " n"]) -> Float[Array, "materials 3"]:
         """Cost of the samples of each material and channel."""
         cost = self.loss.root(self.residual(y)) ** 2
-        rows = jnp.arange(self.unknowns.materials, dtype=self.samples.image.dtype)
-        member = self.samples.material_index()[None] == rows[:, None]
-        return member.astype(cost.dtype) @ cost.T
+        return self.members().astype(cost.dtype) @ cost.T
+
+    def members(self) -> Bool[Array, "materials samples"]:
+        """Whether a sample shows a material."""
+        index = self.samples.material_index()
+        rows = jnp.arange(self.unknowns.materials, dtype=index.dtype)
+        return index[None] == rows[:, None]
 
     def measure(self, light: Float[Array, "3 samples"]) -> "Evaluation":
         """`Evaluation` of the samples for a predicted light before the film."""

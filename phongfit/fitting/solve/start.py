@@ -137,7 +137,7 @@ def _candidates(
         exponents = jnp.exp(grid)
     else:
         grid = jnp.zeros((1,), y.dtype)
-        exponents = _shininess(unknowns, entries)[None]
+        exponents = unknowns.as_material(entries).shininess[None]
 
     def at(exponent: Array) -> tuple[Array, Array]:
         return _best_reflectances(problem, scene, exponent)
@@ -169,11 +169,6 @@ def choose(
     return jnp.clip(found, unknowns.lower, unknowns.upper)
 
 
-def _shininess(unknowns: Unknowns, entries: Float[Array, " entries"]) -> Array:
-    """The known exponent."""
-    return unknowns.as_material(entries).shininess
-
-
 class _Lit(eqx.Module):
     """Geometry and light of the samples, and the factor on their light."""
 
@@ -197,9 +192,7 @@ def _best_reflectances(
     clamp, robust = problem.clamp, problem.loss.robust
     basis = scene.basis(exponent)
     target = samples.target - scene.fog_light()
-    material_of = samples.material_index()
-    rows = jnp.arange(unknowns.materials, dtype=material_of.dtype)
-    members = material_of[None] == rows[:, None]
+    material_of, members = samples.material_index(), problem.members()
     select, offset = _selection(unknowns)
     white = samples.target >= 1
     # A clipped sample only shows that the light is at least white: it is left out
@@ -210,7 +203,10 @@ def _best_reflectances(
         sums = _sums(basis, target, weight, members)
         y = _solve(*sums, select, offset, unknowns)
         light = jnp.einsum("mck,ckn->mcn", offset + select @ y, basis)
-        light = light[0] if len(light) == 1 else _own(light, material_of)
+        # Each sample has the light of its own material.
+        own = material_of[None, None]
+        light = light if len(light) == 1 else jnp.take_along_axis(light, own, axis=0)
+        light = light[0]
         beyond = white & clamp & (light >= target)
         weight = jnp.where(beyond, 0, samples.weight)
         if robust:
@@ -225,11 +221,6 @@ def _best_reflectances(
     difference = shown - samples.target
     left = samples.weight * (_absolute(difference) if robust else difference**2)
     return vectors[-1], members.astype(left.dtype) @ left.T
-
-
-def _own(light: Float[Array, "materials 3 samples"], material_of: Array) -> Array:
-    """Select the light of each sample's material from that of all materials."""
-    return jnp.take_along_axis(light, material_of[None, None], axis=0)[0]
 
 
 def _absolute(difference: Array) -> Array:

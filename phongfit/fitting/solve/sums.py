@@ -216,9 +216,7 @@ def linearize(problem: Problem, y: Float[Array, " n"]) -> Linearization:
     slopes = jax.jacfwd(problem.unknowns.prior_residual)(y)
     unknowns, member = problem.unknowns, None
     if unknowns.materials > 1:
-        index = problem.samples.material_index()
-        each = jnp.arange(unknowns.materials, dtype=index.dtype)
-        member = (index[None] == each[:, None]).astype(kind)
+        member = problem.members().astype(kind)
     images = unknowns.images if unknowns.differs_between_images else 1
     jacobian = Jacobian(local, slopes, jnp.asarray(select, kind), member, images)
     return Linearization(at, priors, jacobian)

@@ -94,11 +94,10 @@ def _rejected(problem: Problem, y: Float[Array, " n"]) -> Bool[Array, "3 samples
 def _count(
     problem: Problem, y: Float[Array, " n"], marked: Bool[Array, "3 samples"]
 ) -> _Counts:
-    samples, unknowns = problem.samples, problem.unknowns
+    samples = problem.samples
     used, kind = samples.weight > 0, samples.weight.dtype
-    rows = jnp.arange(unknowns.materials, dtype=samples.image.dtype)
-    member = (samples.material_index()[None] == rows[:, None]).astype(kind)
-    channels = problem.channels(unknowns.entries(y))
+    member = problem.members().astype(kind)
+    channels = problem.channels(problem.unknowns.entries(y))
 
     def count(which: Bool[Array, "3 samples"]) -> Float[Array, "materials 3"]:
         return member @ (used & which).astype(kind).T
