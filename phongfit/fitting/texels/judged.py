@@ -1,6 +1,6 @@
 """Errors, misfit and warnings of a fit of textures."""
 
-from typing import NamedTuple
+from collections.abc import Iterator
 
 import jax.numpy as jnp
 import numpy as np
@@ -27,14 +27,6 @@ from phongfit.fitting.uncertainty.warnings import misfit_words, spread_words
 from phongfit.material import Material
 
 
-class Counts(NamedTuple):
-    """Degrees of freedom, number of samples, and whether the noise was given."""
-
-    freedom: float
-    samples: int
-    noise_given: bool
-
-
 def judge(
     job: Job,
     state: State,
@@ -55,17 +47,19 @@ def judge(
         part = np.where(both, covariance, 0)[np.ix_(shared, shared)]
         more = np.einsum("ti,ij,tj->t", moved, part, moved, optimize=False)
         variances.append(alone + more)
-    freedom = system.freedom
-    seen, images = np.zeros(job.grid.shape), []
+    freedom, spread = system.freedom, 1.0
+    seen, samples = np.zeros(job.grid.shape), 0
+    residuals, tiles = [], []
     for k in range(len(job.images.given)):
         # Sum here, since one count an image would fill memory if there are many texels.
-        one, looks = _image(job, k, state, sigma)
+        residual, of_image, looks, used = _image(job, k, state, sigma)
         seen += looks
-        images.append(one)
-    side = max(tile_side(*one.residual.shape[:2]) for one in images)
-    misfit = find_misfit([one.tiles for one in images], side)
-    samples = sum(one.samples for one in images)
-    counts, spread = Counts(freedom, samples, noise_given), 1.0
+        samples += used
+        residuals.append(residual)
+        tiles.append(of_image)
+    side = max(tile_side(*one.shape[:2]) for one in residuals)
+    misfit = find_misfit(tiles, side)
+    left = None if noise_given else (samples, freedom)
     if noise_given:
         over = system.left.squares / freedom
         spread = float(np.sqrt(over)) if over > 1 + 5 * np.sqrt(2 / freedom) else 1.0
@@ -108,14 +102,14 @@ def judge(
         job.names,
         sigma if not noise_given else 1.0,
         system.left.counted,
-        tuple(one.residual for one in images),
+        tuple(residuals),
         misfit,
         converged,
         steps,
         (
-            *_warnings(job, converged, hidden, lost, counts),
+            *_warnings(job, converged, hidden, lost, left),
             *spread_words(spread),
-            *misfit_words(misfit, len(images)),
+            *misfit_words(misfit, len(tiles)),
         ),
         job.grid,
     )
@@ -217,18 +211,14 @@ def _label(job: Job, one: Few) -> str:
     )
 
 
-class _ImageFit(NamedTuple):
-    """Residuals and misfit of one image; `samples` counts those of positive weight."""
-
-    residual: np.ndarray
-    tiles: Tiles
-    samples: int
-
-
 def _image(
     job: Job, k: int, state: State, sigma: float
-) -> tuple[_ImageFit, Float[np.ndarray, "..."]]:
-    """Residuals and misfit of one image, and how many of its pixels see each texel."""
+) -> tuple[np.ndarray, Tiles, Float[np.ndarray, "..."], int]:
+    """Residuals of one image, and sums that only a whole image gives.
+
+    **Returns:** residuals; their sums over tiles; how many pixels see each texel; and
+    the number of samples of positive weight.
+    """
     lit, image, step = job.images.at(k), job.images.image(k), job.images.step(k)
     parts, light = light_of(job, lit, state, lit.touched)
     whole = np.zeros((4, image.size // 3, 3), image.dtype)
@@ -252,44 +242,46 @@ def _image(
     looks = (lit.weight > 0).any(axis=1).astype(float)
     residual = np.where(weight > 0, image - fitted, 0)
     seen = lit.touched.scattered(looks, job.grid.texels).reshape(job.grid.shape)
-    return _ImageFit(residual, tiles, int(np.count_nonzero(lit.weight))), seen
+    return residual, tiles, seen, int(np.count_nonzero(lit.weight))
 
 
 def _warnings(
-    job: Job, converged: bool, unseen: list[str], lost: list[str], counts: Counts
-) -> list[str]:
+    job: Job,
+    converged: bool,
+    unseen: list[str],
+    lost: list[str],
+    left: tuple[int, float] | None,
+) -> Iterator[str]:
     """Warnings of a fit, without those of its residuals.
 
-    **Arguments:** `unseen`, `lost`: labels of shared numbers without a highlight, and
-    of others that are not identified.
+    **Arguments:**
+
+    - `unseen`, `lost`: labels of shared numbers without a highlight, and of others that
+        are not identified.
+    - `left`: number of samples and degrees of freedom from which the noise was
+        estimated, if it was.
     """
-    found = {
-        "not-converged": (
-            not converged,
-            "did not converge",
-            "Raise max_steps, or ask for fewer unknowns",
-        ),
-        "no-highlight": (
-            unseen,
-            f"{not_identifiable(unseen)}: no highlight stands out",
-            None,
-        ),
-        "not-identifiable": (
-            lost,
+    if not converged:
+        remedy = "Raise max_steps, or ask for fewer unknowns"
+        yield coded("not-converged", "did not converge", remedy)
+    if unseen:
+        words = f"{not_identifiable(unseen)}: no highlight stands out"
+        yield coded("no-highlight", words)
+    if lost:
+        yield coded(
+            "not-identifiable",
             f"{', '.join(lost)}: not identifiable from these photographs",
             "Give it as known, or photographs under other lamps",
-        ),
-        "noise-level": (
-            not counts.noise_given and counts.freedom < 0.1 * counts.samples,
-            f"{counts.samples:,} samples leave {counts.freedom:,.0f} to estimate the "
-            "noise from",
+        )
+    if left is not None and left[1] < 0.1 * left[0]:
+        yield coded(
+            "noise-level",
+            f"{left[0]:,} samples leave {left[1]:,.0f} to estimate the noise from",
             "Give noise, or a smaller size",
-        ),
-        "jpeg-texels": (
-            job.lossy,
+        )
+    if job.lossy:
+        yield coded(
+            "jpeg-texels",
             "rounding errors of JPEG files are correlated in blocks of pixels, which "
             "errors of texels do not include: they may be too small",
-            None,
-        ),
-    }
-    return [coded(code, *words) for code, (due, *words) in found.items() if due]
+        )
