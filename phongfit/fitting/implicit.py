@@ -1,5 +1,6 @@
 """A fit as a function that can be differentiated: from images to the material."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -89,22 +90,17 @@ def _other_problem(fit: Fit, scene: Scene | Sequence[Scene], image: Any) -> Prob
         light = light.astype(old.samples.target.dtype)
         targets.append(light.reshape(-1, 3)[view.index])
     target = jnp.concatenate(targets).T - _lost(fit)
-    samples = eqx.tree_at(
-        lambda s: (s.channels, s.target),
-        old.samples,
-        (by_channel(join_pixels(pixels)), target),
-    )
     views = tuple(
-        eqx.tree_at(lambda v: v.scene, view, one)
+        dataclasses.replace(view, scene=one)
         for view, one in zip(views, scenes, strict=True)
     )
-    samples = eqx.tree_at(lambda s: s.views, samples, views)
-    problem = eqx.tree_at(lambda p: p.samples, old, samples)
-    return eqx.tree_at(
-        lambda p: (p.unknowns.factor, p.unknowns.offset),
-        problem,
-        _held(old.unknowns, scenes),
+    channels = by_channel(join_pixels(pixels))
+    samples = dataclasses.replace(
+        old.samples, channels=channels, target=target, views=views
     )
+    factor, offset = _held(old.unknowns, scenes)
+    unknowns = dataclasses.replace(old.unknowns, factor=factor, offset=offset)
+    return dataclasses.replace(old, samples=samples, unknowns=unknowns)
 
 
 def _held(unknowns: Unknowns, scenes: tuple[Scene, ...]) -> tuple[Array, Array]:
