@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -52,39 +53,31 @@ class Channels(eqx.Module):
 
     def light(self, material: Material) -> Float[Array, "3 n"]:
         """Linear light, before the film, that the model predicts for each sample."""
-
-        def of(pixels: PixelTerms, material: Material) -> Array:
-            return pixels.radiance(material)[..., 0]
-
-        apart = jax.tree.map(_colour_first, material)
-        axes = jax.tree.map(_axis, material)
-        return jax.vmap(of, in_axes=(self._axes, axes))(self.pixels, apart)
+        return self._each_channel(
+            lambda pixels, own: pixels.radiance(own)[..., 0], material
+        )
 
     def basis(self, shininess: Float[Array, "..."]) -> Float[Array, "3 4 n"]:
         """Light for each reflectance of 1: ambient, diffuse, specular, emission."""
-
-        def of(pixels: PixelTerms, shininess: Array) -> Array:
-            return pixels.basis(shininess)[:, 0].T
-
-        axes = (self._axes, _axis(shininess))
-        return jax.vmap(of, in_axes=axes)(self.pixels, _colour_first(shininess))
+        return self._each_channel(lambda pixels, f: pixels.basis(f)[:, 0].T, shininess)
 
     def fog_light(self) -> Float[Array, "3 n"]:
         """Light that fog adds to each sample."""
-        return jax.vmap(lambda pixels: pixels.fog_light()[:, 0], in_axes=(self._axes,))(
-            self.pixels
-        )
+        return self._each_channel(lambda pixels, _: pixels.fog_light()[:, 0], None)
 
     def shaped_by(self, model: AbstractSpecular) -> "Channels":
         """The channels with another specular model of the same kind."""
         return Channels(with_model(self.pixels, model))
 
-    @property
-    def _axes(self) -> PixelTerms:
-        """The axis of the channels in each array: 0, or `None`."""
+    def _each_channel(
+        self, of: Callable[[PixelTerms, Any], Array], numbers: Any
+    ) -> Any:
+        """A function of the pixels and of numbers, for each channel."""
         marks = jax.tree.map(lambda leaf: False, self.pixels)
         marks = eqx.tree_at(_colours, marks, replace_fn=lambda _: True)
-        return jax.tree.map(lambda mark: 0 if mark else None, marks)
+        axes = jax.tree.map(lambda mark: 0 if mark else None, marks)
+        mapped = jax.vmap(of, in_axes=(axes, jax.tree.map(_axis, numbers)))
+        return mapped(self.pixels, jax.tree.map(_colour_first, numbers))
 
 
 def _colours(pixels: PixelTerms) -> list[Any]:
