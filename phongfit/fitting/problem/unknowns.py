@@ -137,11 +137,6 @@ class Unknowns(eqx.Module):
         return np.array(self.entry_of_y)
 
     @functools.cached_property
-    def _free(self) -> np.ndarray:
-        """True for entries that have their own number in y."""
-        return self._own & ~np.array(self.fixed)
-
-    @functools.cached_property
     def _own(self) -> np.ndarray:
         """True for entries that are not tied to another one."""
         return np.arange(len(self.source)) == np.array(self.source)
@@ -226,14 +221,11 @@ class Unknowns(eqx.Module):
         places = ("position", "direction", "axis")
         return any(is_of_scene(n) and n.endswith(places) for n in self.sought)
 
-    @functools.cached_property
-    def direction_indices(self) -> np.ndarray:
-        """Indices in y of the first of each direction's two numbers."""
-        return np.flatnonzero(self.table.form[self.y_entry] == "direction")[::2]
-
     def entries(self, y: Float[Array, " n"]) -> Float[Array, " entries"]:
         """All entries in the user's units."""
-        numbers = jnp.where(self._free, y[np.array(self.y_index)], 0)
+        numbers = jnp.where(
+            self._own & ~np.array(self.fixed), y[np.array(self.y_index)], 0
+        )
         logarithm = self.table.form == "logarithm"
         # Only logarithms are exponentiated, since other entries could overflow.
         powers = jnp.exp(jnp.where(logarithm, numbers, 0))

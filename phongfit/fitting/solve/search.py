@@ -303,12 +303,13 @@ def _valleys(unknowns: Unknowns, ends: _Ends) -> list[int]:
 
 def _moved(unknowns: Unknowns, start: Starts, which: int, guesses: Guesses) -> Starts:
     """A start, and copies with one direction spread over the sphere or as guessed."""
-    own = guesses.get(int(unknowns.direction_entries[which]), np.zeros((0, 3)))
+    entry = int(unknowns.direction_entries[which])
+    own = guesses.get(entry, np.zeros((0, 3)))
     own = np.repeat(own, len(BANDS), axis=0)
     count = STARTS + len(BANDS) * max(map(len, guesses.values()), default=0)
     spread = spread_directions(count - 1 - len(own))
     y, base = (np.repeat(np.asarray(a, float)[None], count, axis=0) for a in start[:2])
-    index = unknowns.direction_indices[which]
+    index = unknowns.y_index[entry]
     y[1:, index : index + 2] = 0
     base[1:, which] = np.concatenate([spread, own])
     return _starts(unknowns, y, base, len(own) // len(BANDS))
