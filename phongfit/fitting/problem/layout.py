@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -81,7 +81,9 @@ def make_unknowns(
         count = 2 if direction[entry] else 1
         own_entries += [entry] * count
         taken += count
-    known_before = _priors(names, specification, first, scale, is_fixed)
+    mean, deviation, has_prior, root = _priors(
+        names, specification, first, scale, is_fixed
+    )
     base = first[direction].reshape(-1, 3)
     base = base / np.maximum(np.linalg.norm(base, axis=1, keepdims=True), 1e-30)
     kind = jnp.result_type(float)
@@ -96,9 +98,9 @@ def make_unknowns(
                 base=base,
                 across=tangents(base),
                 turn=_rotations(parameters, scenes),
-                prior_mean=known_before.mean,
-                prior_deviation=known_before.deviation,
-                prior_root=known_before.root,
+                prior_mean=mean,
+                prior_deviation=deviation,
+                prior_root=root,
                 start=np.clip(start, low, high)[own_entries],
                 lower=low[own_entries],
                 upper=high[own_entries],
@@ -113,7 +115,7 @@ def make_unknowns(
         source=tuple(source.tolist()),
         y_index=tuple(y_index.tolist()),
         fixed=tuple(is_fixed.tolist()),
-        has_prior=tuple(known_before.has.tolist()),
+        has_prior=tuple(has_prior.tolist()),
         relights=_relights(parameters, scenes),
         known=known,
         **arrays,
@@ -292,8 +294,6 @@ def _held(
 
 
 def _share_and_name(name: str, given: Tie) -> tuple[float, str]:
-    if isinstance(given, str):
-        return 1.0, given
     try:
         share, other = given
         factor = float(share)
@@ -450,22 +450,17 @@ def covariance_of(
     return as_covariance(f"uncertain: {name}", array)
 
 
-class _Priors(NamedTuple):
-    """Priors: mean and deviation of each entry, and the root of the joint precision."""
-
-    mean: np.ndarray
-    deviation: np.ndarray
-    has: np.ndarray
-    root: np.ndarray
-
-
 def _priors(
     names: _Names,
     asked: Specification,
     first: np.ndarray,
     scale: np.ndarray,
     is_fixed: np.ndarray,
-) -> _Priors:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Mean and deviation of each entry, whether it has a prior, and whitening matrix.
+
+    That is the root of the joint precision of the entries with a prior.
+    """
     size = len(names.table.label)
     mean, has = np.zeros(size), np.zeros(size, bool)
     covariance = np.eye(size)
@@ -508,7 +503,7 @@ def _priors(
     for entry in np.flatnonzero(has & is_fixed):
         raise ValueError(f"priors: {names.table.label[entry]} is fixed")
     deviation = np.sqrt(np.diag(covariance))
-    return _Priors(mean, deviation, has, _whitening(covariance[np.ix_(has, has)]))
+    return mean, deviation, has, _whitening(covariance[np.ix_(has, has)])
 
 
 def _with_floor(
