@@ -144,10 +144,6 @@ def _landing(
     return jnp.where(y + step > upper, jnp.nextafter(step, -jnp.inf), step)
 
 
-class _SearchState(eqx.Module):
-    step_size: Scalar
-
-
 class RoundingTolerantTrustRegion(optx.AbstractSearch):
     r"""Accepts steps that lower the cost, even by less than its rounding.
 
@@ -176,10 +172,10 @@ class RoundingTolerantTrustRegion(optx.AbstractSearch):
     grow: float = 4.0
     shrink: float = 0.25
 
-    def init(self, y: PyTree[Array], f_info_struct: Any) -> _SearchState:
+    def init(self, y: PyTree[Array], f_info_struct: Any) -> Scalar:
         del f_info_struct
         dtype = jnp.result_type(*jax.tree.leaves(y))
-        return _SearchState(jnp.ones((), dtype))
+        return jnp.ones((), dtype)
 
     def step(
         self,
@@ -188,8 +184,8 @@ class RoundingTolerantTrustRegion(optx.AbstractSearch):
         y_eval: PyTree[Array],
         f_info: Any,
         f_eval_info: Any,
-        state: _SearchState,
-    ) -> tuple[Scalar, Bool[Array, ""], optx.RESULTS, _SearchState]:
+        state: Scalar,
+    ) -> tuple[Scalar, Bool[Array, ""], optx.RESULTS, Scalar]:
         difference = jax.tree.map(jnp.subtract, y_eval, y)
         before, after = f_info.as_min(), f_eval_info.as_min()
         slope, change = _slope(f_info, difference)
@@ -207,8 +203,8 @@ class RoundingTolerantTrustRegion(optx.AbstractSearch):
         factor = jnp.where(decrease < self.poor * predicted, self.shrink, factor)
         factor = jnp.where(alike | first_step, 1, factor)
         factor = jnp.where(accept, factor, self.shrink)
-        step_size = factor * state.step_size
-        return step_size, accept, optx.RESULTS.successful, _SearchState(step_size)
+        step_size = factor * state
+        return step_size, accept, optx.RESULTS.successful, step_size
 
 
 def _slope(f_info: Any, difference: PyTree[Array]) -> tuple[Scalar, Scalar]:
