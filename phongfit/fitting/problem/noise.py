@@ -113,8 +113,12 @@ def _beyond(z: Values) -> _Beyond:
     return _Beyond(density, chance, excess, lost)
 
 
-def unclipped_moments(light: Values) -> Moments:
-    """The moments for a film without a clamp."""
+def film_moments(
+    light: Values, sigma: Float[Array, ""] | Values, clamp: bool
+) -> Moments:
+    """The moments of noisy light after a film with or without a clamp."""
+    if clamp:
+        return clipped_moments(light, sigma)
     one = jnp.ones_like(light)
     return Moments(light, one, one, jnp.zeros_like(light))
 

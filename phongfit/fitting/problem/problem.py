@@ -8,8 +8,7 @@ from phongfit.fitting.problem.losses import AbstractLoss
 from phongfit.fitting.problem.noise import (
     arithmetic_floor,
     clipped_mean,
-    clipped_moments,
-    unclipped_moments,
+    film_moments,
 )
 from phongfit.fitting.problem.samples import Channels, Samples, stacked_lit
 from phongfit.fitting.problem.unknowns import Unknowns
@@ -129,9 +128,7 @@ class Problem(eqx.Module):
     def measure(self, light: Float[Array, "3 samples"]) -> "Evaluation":
         """`Evaluation` of the samples for a predicted light before the film."""
         noise, deviation = self.noise(), self.deviation()
-        film = unclipped_moments(light)
-        if self.clamp:
-            film = clipped_moments(light, noise)
+        film = film_moments(light, noise, self.clamp)
         used = self.samples.weight > 0
         difference = jnp.where(used, film.mean - self.samples.target, 0)
         return Evaluation(

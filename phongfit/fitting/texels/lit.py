@@ -13,10 +13,9 @@ from jaxtyping import Array, Float, Int
 from phongfit.fitting.problem.inputs import Observation
 from phongfit.fitting.problem.noise import (
     Moments,
-    clipped_moments,
     end_steps,
+    film_moments,
     rounding_steps,
-    unclipped_moments,
 )
 from phongfit.fitting.texels.sums import AbstractTexels, Touched
 from phongfit.geometry.meshes import Mesh
@@ -201,10 +200,9 @@ def film_response(
     ends: tuple[float, float] = (0.0, 0.0),
 ) -> Moments:
     """The film's response to light with noise of standard deviation `deviation`."""
-    found = unclipped_moments(jnp.asarray(light))
     if clamp:
         deviation = before_rounding(light, deviation, ends)
-        found = _clipped(jnp.asarray(light), jnp.asarray(deviation))
+    found = _moments(jnp.asarray(light), jnp.asarray(deviation), clamp)
     return jax.tree.map(lambda part: np.asarray(part, float), found)
 
 
@@ -225,4 +223,4 @@ def before_rounding(
     return np.sqrt(np.maximum(deviation**2 - step**2 / 6, LEFT * deviation**2))
 
 
-_clipped = program()(clipped_moments)
+_moments = program("clamp")(film_moments)

@@ -10,11 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from phongfit.fitting.problem.losses import AbstractLoss
-from phongfit.fitting.problem.noise import (
-    clipped_moments,
-    shared_rounding_variance,
-    unclipped_moments,
-)
+from phongfit.fitting.problem.noise import film_moments, shared_rounding_variance
 from phongfit.fitting.uncertainty.grid import Grid, sum_at_places
 from phongfit.programs import program
 
@@ -151,7 +147,7 @@ def _leave(
     image, weight, step, sigma = measured
     used = jnp.broadcast_to(weight > 0, image.shape)
     noise = sigma / jnp.sqrt(jnp.where(weight > 0, weight, 1))
-    film = clipped_moments(light, noise) if clamp else unclipped_moments(light)
+    film = film_moments(light, noise, clamp)
     deviation, variance, shared = noise, film.variance_share, None
     if step is not None:
         deviation = jnp.sqrt(noise**2 + step**2 / 12)
