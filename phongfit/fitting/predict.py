@@ -12,10 +12,8 @@ from jaxtyping import Array
 from phongfit.checks import untraced
 from phongfit.edge import checked
 from phongfit.fitting.problem.layout import first_values
-from phongfit.fitting.problem.losses import Linear
 from phongfit.fitting.problem.posing import set_up
 from phongfit.fitting.problem.problem import Problem, evaluate
-from phongfit.fitting.problem.samples import gather, seen_pixels
 from phongfit.fitting.problem.specification import (
     Specification,
     SpecificationOptions,
@@ -126,16 +124,15 @@ def predict_errors(
         _photograph(one, material, how) for one, how in zip(scenes, films, strict=True)
     ]
     setting = set_up(
-        dataclasses.replace(specification, known=material, film=films),
+        # Nothing is solved to a tolerance.
+        dataclasses.replace(specification, known=material, film=films, tolerance=None),
         scene,
         images[0] if single else images,
         **data,
     )
     unknowns = setting.unknowns
     sources = off_edges(unknowns, setting.sources)
-    samples = gather(sources, seen_pixels(sources))
-    sigma = jnp.ones((), samples.target.dtype)
-    problem = Problem(samples, unknowns, sigma, Linear(), setting.films[0].clamp)
+    problem = dataclasses.replace(setting, sources=sources).problem()
     entries = first_values(unknowns.parameters, scenes, material)
     y = jnp.asarray(unknowns.position(entries))
     if any(one.jpeg is not None for one in films):

@@ -15,8 +15,9 @@ import numpy as np
 from phongfit.checks import as_floats, untraced
 from phongfit.edge import checked
 from phongfit.fitting.problem.inputs import as_photographs, as_scenes
-from phongfit.fitting.problem.noise import arithmetic_floor, find_film
+from phongfit.fitting.problem.noise import arithmetic_floor
 from phongfit.fitting.problem.parameters import TEXTURE
+from phongfit.fitting.problem.posing import find_films
 from phongfit.fitting.problem.specification import (
     Specification,
     SpecificationOptions,
@@ -31,7 +32,6 @@ from phongfit.fitting.texels.sums import AbstractTexels, Grid
 from phongfit.fitting.texels.vertices import Vertices, as_mesh
 from phongfit.material import Material
 from phongfit.moved import warn_deprecated
-from phongfit.rendering.film import as_films
 from phongfit.scene import Scene
 from phongfit.textures import Filter, Wrap
 
@@ -127,12 +127,7 @@ def fit_texture(
     observed = as_photographs(
         scene if isinstance(scene, Scene) else scenes, image, mask, weights, noise
     )
-    if asked.film is None:
-        films = (find_film([one.used() for one in observed]),) * len(observed)
-    else:
-        films = as_films(asked.film, len(observed))
-    if len({one.clamp for one in films}) > 1:
-        raise ValueError("film: expected one clamp for all images, got both")
+    films = find_films(asked.film, observed)
     if smoothness is not None and not 0 < smoothness < np.inf:
         raise ValueError(f"smoothness: expected a number > 0, got {smoothness}")
     materials = scenes[0].surface.materials
@@ -150,7 +145,7 @@ def fit_texture(
         dataclasses.replace(one, scene=without(one.scene, names)) for one in observed
     )
     job = Job(
-        Photographs(observed, tuple(films), grid),
+        Photographs(observed, films, grid),
         names,
         few,
         films[0].clamp,

@@ -71,17 +71,7 @@ def make_problem(
     data = {"mask": mask, "weights": weights, "noise": noise}
     untraced(instead, scene=scene, image=image, **data)
     specification = specified(specification, options, instead)
-    setting = set_up(specification, scene, image, **data)
-    samples = gather(setting.sources, seen_pixels(setting.sources))
-    sigma = jnp.ones((), samples.target.dtype)
-    return Problem(
-        samples,
-        setting.unknowns,
-        sigma,
-        specification.loss,
-        setting.films[0].clamp,
-        tolerance=specification.tolerance,
-    )
+    return set_up(specification, scene, image, **data).problem()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,6 +92,18 @@ class FitData:
     single: bool
     noise_given: bool
     arrays: tuple[str, ...]
+
+    def problem(self) -> Problem:
+        """The problem of all used pixels, at a noise level of 1."""
+        samples = gather(self.sources, seen_pixels(self.sources))
+        return Problem(
+            samples,
+            self.unknowns,
+            jnp.ones((), samples.target.dtype),
+            self.specification.loss,
+            self.films[0].clamp,
+            tolerance=self.specification.tolerance,
+        )
 
     @property
     def side(self) -> int:
@@ -145,7 +147,10 @@ def set_up(
     single = isinstance(scene, Scene)
     scene = scene if single else scenes
     photographs = as_photographs(scene, image, mask, weights, noise)
-    films = _checked_films(specification.film, photographs)
+    films = find_films(specification.film, photographs)
+    if specification.film is not None:
+        for pair in zip(films, photographs, strict=True):
+            _check_range(*pair)
     rounded = any(film.bits is not None for film in films)
     sources = [
         as_source(*one, rounded) for one in zip(photographs, seen, films, strict=True)
@@ -213,26 +218,29 @@ def _as_shown(image: np.ndarray, film: Film) -> np.ndarray:
     return np.maximum(image, 0) if film.clamp and image.min() < 0 else image
 
 
-def _checked_films(
-    film: Film | Sequence[Film] | None, photographs: list[Observation]
+def find_films(
+    film: Film | Sequence[Film] | None, photographs: Sequence[Observation]
 ) -> tuple[Film, ...]:
-    """A film for each photograph.
+    """A film for each photograph: the given ones, or one that is detected for all.
 
     **Raises:** `ValueError` that names the argument.
     """
-    images = [p.used() for p in photographs]
     if film is None:
-        return (find_film(images),) * len(images)
-    films = as_films(film, len(images))
+        return (find_film([p.used() for p in photographs]),) * len(photographs)
+    films = as_films(film, len(photographs))
     if len({one.clamp for one in films}) > 1:
         raise ValueError("film: expected one clamp for all images, got both")
-    for p, values, one in zip(photographs, images, films, strict=True):
-        if one.clamp and values.size and not 0 <= values.min() <= values.max() <= 1:
-            raise ValueError(
-                f"{p.name}: expected values in [0, 1], as a clamped film holds, got "
-                f"{values.min():.4g} … {values.max():.4g}; say film=Film(clamp=False)"
-            )
     return films
+
+
+def _check_range(film: Film, photograph: Observation) -> None:
+    """Check that a photograph has values that its given film can have."""
+    values = photograph.used()
+    if film.clamp and values.size and not 0 <= values.min() <= values.max() <= 1:
+        raise ValueError(
+            f"{photograph.name}: expected values in [0, 1], as a clamped film holds, "
+            f"got {values.min():.4g} … {values.max():.4g}; say film=Film(clamp=False)"
+        )
 
 
 def _check_samples(sources: list[Source], unknowns: Unknowns) -> None:
