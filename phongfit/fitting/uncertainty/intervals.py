@@ -16,7 +16,6 @@ with one at its bound is wide on the side to which the bound leaves room.
 
 import dataclasses
 import functools
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -118,29 +117,31 @@ class Quadratic:
         """
         held, factor = (point <= self.lower) | (point >= self.upper), 0.0
         for _ in range(4 * len(point) + 8):
-            piece = self._piece(point, slope - factor * along, along, held)
+            direction, bend, room, release = self._piece(
+                point, slope - factor * along, along, held
+            )
             if budget is None:
                 limit = 1 - factor
-            elif piece.bend > 0:
+            elif bend > 0:
                 # The cost rises by bend · ((λ + length)² − λ²).
-                more = budget / piece.bend
+                more = budget / bend
                 limit = more / (factor + np.sqrt(factor**2 + more)) if more > 0 else 0.0
             else:
                 limit = np.inf
-            event = min(piece.room.min(), piece.release.min())
+            event = min(room.min(), release.min())
             length = min(limit, event)
             if np.isinf(length):
                 break
-            point = point + length * piece.direction
+            point = point + length * direction
             if limit <= event:
                 break
             if budget is not None:
-                budget -= piece.bend * length * (2 * factor + length)
+                budget -= bend * length * (2 * factor + length)
             factor += length
-            hit = piece.room <= event
-            edge = np.where(piece.direction > 0, self.upper, self.lower)
+            hit = room <= event
+            edge = np.where(direction > 0, self.upper, self.lower)
             point = np.where(hit, edge, point)
-            held = held | hit if hit.any() else held & ~(piece.release <= event)
+            held = held | hit if hit.any() else held & ~(release <= event)
         return np.clip(point, self.lower, self.upper)
 
     def _piece(
@@ -149,8 +150,13 @@ class Quadratic:
         slope: Float[np.ndarray, " n"],
         along: Float[np.ndarray, " n"],
         held: Bool[np.ndarray, " n"],
-    ) -> "_Piece":
-        """The straight piece of a path from a point on."""
+    ) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:
+        r"""The straight piece of a path from a point on; lengths are changes of λ.
+
+        **Returns:** the change of the point per unit of λ; half the second derivative
+        of the cost in λ; the length at which each number reaches a bound, and that at
+        which each held number leaves its bound.
+        """
         free, direction = np.flatnonzero(~held), np.zeros_like(point)
         if len(free):
             block = self.precision[np.ix_(free, free)]
@@ -168,24 +174,9 @@ class Quadratic:
             edge = np.where(direction > 0, self.upper, self.lower)
             room = np.maximum((edge - point) / direction, 0)
             release = np.maximum(-force / falls, 0)
-        return _Piece(
+        return (
             direction,
             float(along @ direction),
             np.where(direction != 0, room, np.inf),
             np.where(held & (np.where(lower, falls, -falls) < 0), release, np.inf),
         )
-
-
-class _Piece(NamedTuple):
-    """A straight piece of a path; lengths are changes of λ.
-
-    - `direction`: change of the point per unit of λ.
-    - `bend`: half the second derivative of the cost in λ.
-    - `room`: length at which each number reaches a bound.
-    - `release`: length at which each held number leaves its bound.
-    """
-
-    direction: Float[np.ndarray, " n"]
-    bend: float
-    room: Float[np.ndarray, " n"]
-    release: Float[np.ndarray, " n"]
