@@ -156,10 +156,12 @@ class _Plate(NamedTuple):
         picture[self.place] = samples[:, self.columns].T
         return np.where(self.used, picture.reshape(self.used.shape), 0)
 
-    def cut(self, picture: np.ndarray) -> Shaped[np.ndarray, "height width channels"]:
-        """Cut an image of whole blocks to the size of this image."""
-        height, width, _ = self.used.shape
-        return picture[:height, :width]
+    def all_over(
+        self, blocks: Shaped[np.ndarray, "rows columns channels"], jpeg: JpegCompression
+    ) -> Shaped[np.ndarray, "height width channels"]:
+        """Repeat the value of each block of the file at all of its pixels."""
+        (down, across), (height, width, _) = jpeg.block, self.used.shape
+        return blocks.repeat(down, axis=0).repeat(across, axis=1)[:height, :width]
 
     def levels(
         self, light: Float[np.ndarray, "3 n"]
@@ -310,7 +312,7 @@ class _Stage:
         for plate in self.plates:
             seen, jpeg = plate.used.max(axis=-1, keepdims=True), plate.film.jpeg
             if jpeg is not None:
-                seen = plate.cut(_all_over(_in_blocks(~seen, *jpeg.block) == 0, jpeg))
+                seen = plate.all_over(_in_blocks(~seen, *jpeg.block) == 0, jpeg)
             inner[:, plate.columns] = seen.ravel()[plate.place]
         inner &= self.used
         few = np.count_nonzero(inner) <= ENOUGH * np.count_nonzero(self.used)
@@ -374,7 +376,7 @@ class _Stage:
             shares = plate.picture(beyond) / np.where(step > 0, step, 1) ** 2
             mean = _in_blocks(shares, *jpeg.block)
             mean = mean / np.maximum(_in_blocks(plate.used, *jpeg.block), 1)
-            factor = plate.cut(_all_over(np.sqrt(np.maximum(mean, 1)), jpeg))
+            factor = plate.all_over(np.sqrt(np.maximum(mean, 1)), jpeg)
             wider[:, plate.columns] *= factor.reshape(-1, 3)[plate.place].T
         return wider
 
@@ -425,14 +427,6 @@ def _apart(draws: Sequence[np.ndarray]) -> Float[np.ndarray, "draws ..."]:
 def _rows(draws: Sequence[np.ndarray]) -> Float[np.ndarray, "draws ..."]:
     """The vectors of [`_apart`][], and the mean as an uncertainty of itself."""
     return np.concatenate([_apart(draws), np.mean(draws, axis=0, keepdims=True)])
-
-
-def _all_over(
-    blocks: Shaped[np.ndarray, "rows columns channels"], jpeg: JpegCompression
-) -> Shaped[np.ndarray, "height width channels"]:
-    """Repeat each block's value at all of its pixels; the last blocks are complete."""
-    down, across = jpeg.block
-    return blocks.repeat(down, axis=0).repeat(across, axis=1)
 
 
 @program()
