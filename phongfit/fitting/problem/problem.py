@@ -40,8 +40,7 @@ class Problem(eqx.Module):
         """Linear light, before the film, that the model predicts for each sample."""
         entries = self.unknowns.entries(y)
         light = self.channels(entries).light(self.unknowns.as_material(entries))
-        exposure = self.exposure(entries)
-        return light if exposure is None else light * exposure
+        return light * self.exposure(entries)
 
     def channels(self, entries: Float[Array, " entries"]) -> Channels:
         """Geometry and light of the samples in the scenes with these entries."""
@@ -59,10 +58,10 @@ class Problem(eqx.Module):
 
     def exposure(
         self, entries: Float[Array, " entries"]
-    ) -> Float[Array, "1 samples"] | None:
-        """Factor on the light of each sample; `None` if exposures are not unknown."""
+    ) -> Float[Array, "1 samples"] | float:
+        """Factor on the light of each sample; 1 if exposures are not unknown."""
         if not self.unknowns.exposed:
-            return None
+            return 1.0
         return self.unknowns.exposures(entries)[self.samples.image][None]
 
     def deviation(self) -> Float[Array, "3 samples"]:

@@ -6,7 +6,6 @@ samples' A, D and S(f) enter only through their sums of products.
 
 from collections.abc import Sequence
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +13,7 @@ from jaxtyping import Array, Bool, Float
 
 from phongfit.fitting.problem.parameters import MATERIAL_PARAMETERS, REFLECTANCES
 from phongfit.fitting.problem.problem import Problem
-from phongfit.fitting.problem.samples import Channels, Source
+from phongfit.fitting.problem.samples import Source
 from phongfit.fitting.problem.unknowns import Unknowns
 from phongfit.fitting.solve.box import minimize_in_box
 from phongfit.programs import program
@@ -126,7 +125,7 @@ def _candidates(
     """The best vector for each exponent of a grid, and its costs."""
     unknowns = problem.unknowns
     entries = unknowns.entries(y)
-    scene = _Lit(problem.channels(entries), problem.exposure(entries))
+    channels, exposure = problem.channels(entries), problem.exposure(entries)
     logarithm = unknowns.logarithmic
     if logarithm.any():
         first = int(np.argmax(logarithm))
@@ -140,7 +139,8 @@ def _candidates(
         exponents = unknowns.as_material(entries).shininess[None]
 
     def at(exponent: Array) -> tuple[Array, Array]:
-        return _best_reflectances(problem, scene, exponent)
+        basis, fog = channels.basis(exponent), channels.fog_light()
+        return _best_reflectances(problem, basis * exposure, fog * exposure)
 
     vectors, costs = jax.lax.map(at, exponents)
     return jnp.where(logarithm, grid[:, None], vectors), costs
@@ -169,29 +169,16 @@ def choose(
     return jnp.clip(found, unknowns.lower, unknowns.upper)
 
 
-class _Lit(eqx.Module):
-    """Geometry and light of the samples, and the factor on their light."""
-
-    channels: Channels
-    exposure: Float[Array, "1 samples"] | None
-
-    def basis(self, exponent: Array) -> Float[Array, "3 4 samples"]:
-        basis = self.channels.basis(exponent)
-        return basis if self.exposure is None else basis * self.exposure[None]
-
-    def fog_light(self) -> Float[Array, "3 samples"]:
-        light = self.channels.fog_light()
-        return light if self.exposure is None else light * self.exposure
-
-
 def _best_reflectances(
-    problem: Problem, scene: _Lit, exponent: Float[Array, "..."]
+    problem: Problem, basis: Float[Array, "3 4 samples"], fog: Float[Array, "3 samples"]
 ) -> tuple[Float[Array, " n"], Float[Array, "materials 3"]]:
-    """For one exponent: the best vector, and the cost of each material and channel."""
+    """For one exponent: the best vector, and the cost of each material and channel.
+
+    **Arguments:** `basis`, `fog`: light of the samples, exposure included.
+    """
     samples, unknowns = problem.samples, problem.unknowns
     clamp, robust = problem.clamp, problem.loss.robust
-    basis = scene.basis(exponent)
-    target = samples.target - scene.fog_light()
+    target = samples.target - fog
     material_of, members = samples.material_index(), problem.members()
     select, offset = _selection(unknowns)
     white = samples.target >= 1
