@@ -11,7 +11,7 @@ import phongfit as pf
 from tests.helpers import known, near
 
 
-def _triangle(**changes) -> dict[str, Any]:
+def triangle(**changes) -> dict[str, Any]:
     """The JSON of a glTF file of one triangle, with other entries at its top."""
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32).tobytes()
     uri = f"data:application/octet-stream;base64,{base64.b64encode(corners).decode()}"
@@ -29,71 +29,71 @@ def _triangle(**changes) -> dict[str, Any]:
 
 
 def _accessor(**changes) -> list[dict[str, Any]]:
-    """The only accessor of [`_triangle`][], with other entries, or without some."""
-    (accessor,) = _triangle()["accessors"]
+    """The only accessor of [`triangle`][], with other entries, or without some."""
+    (accessor,) = triangle()["accessors"]
     whole = accessor | changes
     return [{key: value for key, value in whole.items() if value is not None}]
 
 
 def _primitive(**changes) -> dict[str, Any]:
-    """The JSON of [`_triangle`][], with other entries in its primitive."""
+    """The JSON of [`triangle`][], with other entries in its primitive."""
     primitive = {"attributes": {"POSITION": 0}} | changes
-    return _triangle(meshes=[{"primitives": [primitive]}])
+    return triangle(meshes=[{"primitives": [primitive]}])
 
 
 def _material(**material) -> dict[str, Any]:
-    """The JSON of [`_triangle`][], with a material."""
+    """The JSON of [`triangle`][], with a material."""
     return _primitive(material=0) | {"materials": [material]}
 
 
 WRONG_GLTF = {
     "no view": (
-        _triangle(accessors=_accessor(bufferView=None, count=2**30)),
+        triangle(accessors=_accessor(bufferView=None, count=2**30)),
         r"accessors\[0\]: bufferView: is missing, as in compressed meshes",
     ),
     "too many": (
-        _triangle(accessors=_accessor(count=2**30)),
+        triangle(accessors=_accessor(count=2**30)),
         r"accessors\[0\]: bufferView: expected 12884901888 bytes",
     ),
     "past the buffer": (
-        _triangle(bufferViews=[{"buffer": 0, "byteOffset": 4, "byteLength": 36}]),
+        triangle(bufferViews=[{"buffer": 0, "byteOffset": 4, "byteLength": 36}]),
         r"bufferViews\[0\]: expected bytes 4 to 40, got 36",
     ),
     "no such view": (
-        _triangle(accessors=_accessor(bufferView=7)),
+        triangle(accessors=_accessor(bufferView=7)),
         r"bufferView: expected a number below 1, got 7",
     ),
     "negative": (
-        _triangle(accessors=_accessor(count=-1)),
+        triangle(accessors=_accessor(count=-1)),
         r"accessors\[0\]: count: expected a whole number ≥ 0, got -1",
     ),
     "Draco": (
-        _triangle(extensionsRequired=["KHR_draco_mesh_compression"]),
+        triangle(extensionsRequired=["KHR_draco_mesh_compression"]),
         "requires the extension 'KHR_draco_mesh_compression', which is not read",
     ),
     "two parents": (
-        _triangle(nodes=[{"children": [1, 1]}, {"mesh": 0}]),
+        triangle(nodes=[{"children": [1, 1]}, {"mesh": 0}]),
         r"nodes\[1\]: expected one parent",
     ),
     "before a view": (
-        _triangle(accessors=_accessor(byteOffset=-12)),
+        triangle(accessors=_accessor(byteOffset=-12)),
         r"accessors\[0\]: byteOffset: expected a whole number ≥ 0, got -12",
     ),
-    "no list": (_triangle(nodes={"a": 1}), r"nodes: expected a list, got {\"a\": 1}"),
+    "no list": (triangle(nodes={"a": 1}), r"nodes: expected a list, got {\"a\": 1}"),
     "no number": (
-        _triangle(accessors=_accessor(count="3")),
+        triangle(accessors=_accessor(count="3")),
         r"accessors\[0\]: count: expected a whole number ≥ 0, got \"3\"",
     ),
     "no key": (
-        _triangle(accessors=[{}]),
+        triangle(accessors=[{}]),
         r"accessors\[0\]: is no valid glTF \(KeyError: 'type'\)",
     ),
     "no length": (
-        _triangle(buffers=[{"byteLength": -1, "uri": "data:;base64,"}]),
+        triangle(buffers=[{"byteLength": -1, "uri": "data:;base64,"}]),
         r"buffers\[0\]: byteLength: expected a whole number ≥ 0, got -1",
     ),
     "a flag in words": (
-        _triangle(accessors=_accessor(normalized="false")),
+        triangle(accessors=_accessor(normalized="false")),
         r"accessors\[0\]: normalized: expected true or false",
     ),
     "a list as a name": (_material(name=["a"]), r"materials\[0\]: name: expected"),
@@ -102,15 +102,15 @@ WRONG_GLTF = {
         r"meshes\[0\].primitives\[0\]: mode: expected a whole number ≥ 0, got \"4\"",
     ),
     "one number": (
-        _triangle(nodes=[{"mesh": 0, "translation": [5]}]),
+        triangle(nodes=[{"mesh": 0, "translation": [5]}]),
         r"nodes\[0\]: translation: expected 3 numbers, got \[5\]",
     ),
     "rows": (
-        _triangle(nodes=[{"mesh": 0, "matrix": np.eye(4).tolist()}]),
+        triangle(nodes=[{"mesh": 0, "matrix": np.eye(4).tolist()}]),
         r"nodes\[0\]: matrix: expected 16 numbers",
     ),
     "sparse": (
-        _triangle(
+        triangle(
             accessors=_accessor(
                 sparse={
                     "count": 1,
@@ -122,7 +122,7 @@ WRONG_GLTF = {
         r"accessors\[0\]: sparse: expected whole numbers from 0, got int16",
     ),
     "past the rows": (
-        _triangle(
+        triangle(
             accessors=_accessor(
                 sparse={
                     "count": 1,
@@ -157,7 +157,7 @@ WRONG_GLTF = {
         _material(pbrMetallicRoughness=[]),
         r"materials\[0\]: is no valid glTF \(AttributeError",
     ),
-    "version 1": (_triangle(asset={"version": "1.0"}), "expected glTF 2, got '1.0'"),
+    "version 1": (triangle(asset={"version": "1.0"}), "expected glTF 2, got '1.0'"),
     "empty": ("", "is no JSON"),
     "cut": ("{", "is no JSON"),
 }
@@ -167,7 +167,7 @@ WRONG_GLTF = {
 def test_gltf_that_says_what_it_does_not_hold(tmp_path, case):
     content, said = WRONG_GLTF[case]
     # A whole one beside it is none of its business.
-    (tmp_path / "model.gltf").write_text(json.dumps(_triangle()))
+    (tmp_path / "model.gltf").write_text(json.dumps(triangle()))
     text = content if isinstance(content, str) else json.dumps(content)
     (tmp_path / "x.gltf").write_text(text)
     with pytest.raises(ValueError, match=rf"x\.gltf: .*{said}"):
@@ -200,7 +200,7 @@ def test_gltf_of_floats_and_null(tmp_path):
 def test_gltf_with_sparse_positions(tmp_path):
     numbers = np.array([2], np.uint32).tobytes(), np.array([0, 5, 0], "<f4").tobytes()
     coded = base64.b64encode(b"".join(numbers)).decode()
-    content = _triangle(
+    content = triangle(
         accessors=_accessor(
             sparse={
                 "count": 1,
@@ -219,7 +219,7 @@ def test_gltf_strips_fans_and_nodes_within_nodes(tmp_path):
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], np.float32)
     coded = base64.b64encode(corners.tobytes()).decode()
     primitives = [{"attributes": {"POSITION": 0}, "mode": mode} for mode in (0, 5, 6)]
-    content = _triangle(
+    content = triangle(
         meshes=[{"primitives": primitives}],
         accessors=_accessor(count=4),
         bufferViews=[{"buffer": 0, "byteLength": 48}],
@@ -238,7 +238,7 @@ def test_gltf_strips_fans_and_nodes_within_nodes(tmp_path):
 
 
 def binary(content: dict[str, Any], **arrays: np.ndarray) -> dict[str, Any]:
-    """A file of [`_triangle`][] with arrays as accessors, by the attribute's name."""
+    """A file of [`triangle`][] with arrays as accessors, by the attribute's name."""
     (primitive,) = content["meshes"][0]["primitives"]
     kinds = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
     types = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
@@ -271,7 +271,7 @@ SIDES = np.array([[0, 2, 1], [0, 3, 2], [0, 4, 3]])
 
 def test_faces_without_normals_are_flat(tmp_path):
     content = binary(
-        _triangle(),
+        triangle(),
         POSITION=CORNERS.astype("f4"),
         indices=SIDES.reshape(-1, 1).astype("u2"),
         COLOR_0=np.linspace(0, 255, 15).reshape(5, 3).astype("u1"),
@@ -301,7 +301,7 @@ def test_quantized_meshes(tmp_path, kind, normalized):
     up = np.array([[0, 0, highest]] * 3, kind)
     uv = np.array([[0, 0], [highest, 0], [0, highest]], kind)
     content = binary(
-        _triangle(
+        triangle(
             nodes=[{"mesh": 0, "scale": [2, 2, 2]}],
             extensionsUsed=["KHR_mesh_quantization"],
             extensionsRequired=["KHR_mesh_quantization"],
@@ -322,7 +322,7 @@ def test_quantized_meshes(tmp_path, kind, normalized):
 
 def test_the_least_whole_number_is_minus_one(tmp_path):
     rows = np.array([[-128, 0, 0], [127, 0, 0], [0, 127, 0]], "i1")
-    content = binary(_triangle(), POSITION=rows)
+    content = binary(triangle(), POSITION=rows)
     (tmp_path / "a.gltf").write_text(json.dumps(content))
     mesh = pf.load_mesh(tmp_path / "a.gltf").mesh
     near(mesh.vertices, [[-1, 0, 0], [1, 0, 0], [0, 1, 0]])

@@ -1,6 +1,5 @@
 """Meshes with uv and textures: what files say is what is rendered, or is named."""
 
-import base64
 import json
 import warnings
 from typing import Any
@@ -17,7 +16,7 @@ from phongfit.codes import REMEDIES
 from phongfit.files.formats import encode_png
 from phongfit.files.gltf import exponents, roughness, specular_colour, specular_of
 from phongfit.rendering.film import decode
-from tests.files.test_gltf_reading import _triangle, binary
+from tests.files.test_gltf_reading import binary, triangle
 from tests.helpers import known, near
 
 # A square whose uv has the image upright, as OBJ counts v.
@@ -198,16 +197,9 @@ def test_a_ply_with_uv_and_a_picture(tmp_path):
 
 def gltf(folder, material: dict[str, Any], images: dict[str, np.ndarray], **changes):
     """A triangle with uv and one material, whose textures are files beside it."""
-    uv = np.array([[0, 0], [1, 0], [0, 1]], np.float32).tobytes()
-    (folder / "uv.bin").write_bytes(uv)
-    content = _triangle()
-    content["buffers"].append({"byteLength": 24, "uri": "uv.bin"})
-    content["bufferViews"].append({"buffer": 1, "byteLength": 24})
-    accessor = {"bufferView": 1, "componentType": 5126, "count": 3, "type": "VEC2"}
-    content["accessors"].append(accessor)
-    primitive = content["meshes"][0]["primitives"][0]
-    primitive["attributes"]["TEXCOORD_0"] = 1
-    primitive["material"] = 0
+    uv = np.array([[0, 0], [1, 0], [0, 1]], "f4")
+    content = binary(triangle(), TEXCOORD_0=uv)
+    content["meshes"][0]["primitives"][0]["material"] = 0
     content |= {
         "materials": [material],
         "images": [{"uri": f"{name}.png"} for name in images],
@@ -688,7 +680,7 @@ def test_broken_colours_of_vertices(tmp_path):
     (tmp_path / "a.obj").write_text(OBJ_V.format(*["1 x 0"] * 4) + "f 1 2 3\n")
     with pytest.raises(ValueError, match="a.obj: line 1: v: expected 3 finite numbers"):
         pf.load_mesh(tmp_path / "a.obj")
-    content = _triangle()
+    content = triangle()
     content["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = 0
     content["accessors"][0]["count"] = 2
     content["accessors"].append({**content["accessors"][0], "count": 3})
@@ -698,18 +690,11 @@ def test_broken_colours_of_vertices(tmp_path):
         pf.load_mesh(tmp_path / "a.gltf")
 
 
-@pytest.mark.parametrize("kind, levels", [(5121, 255), (5123, 65535), (5126, 1)])
+@pytest.mark.parametrize("kind, levels", [("u1", 255), ("u2", 65535), ("f4", 1)])
 def test_colours_of_gltf_of_each_kind(tmp_path, kind, levels):
     colours = np.array([[1, 0.5, 0, 1], [0, 1, 0.2, 1], [0.3, 0, 1, 0.5]])
-    rows = (colours * levels).astype({5121: "u1", 5123: "<u2", 5126: "<f4"}[kind])
-    content = _triangle()
-    head = "data:application/octet-stream;base64,"
-    uri = head + base64.b64encode(rows.tobytes()).decode()
-    content["buffers"].append({"byteLength": rows.nbytes, "uri": uri})
-    content["bufferViews"].append({"buffer": 1, "byteLength": rows.nbytes})
-    told = {"componentType": kind, "count": 3, "type": "VEC4", "normalized": True}
-    content["accessors"].append({"bufferView": 1, **told})
-    content["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = 1
+    content = binary(triangle(), COLOR_0=(colours * levels).astype(kind))
+    content["accessors"][1]["normalized"] = True
     (tmp_path / "a.gltf").write_text(json.dumps(content))
     mesh, material, _ = pf.load_mesh(tmp_path / "a.gltf")
     near(material.diffuse, 1)

@@ -1,6 +1,5 @@
 """Small files that promise much: refused before memory or time is spent on them."""
 
-import base64
 import io
 import json
 import struct
@@ -24,6 +23,7 @@ from phongfit.files.saved import load_fit
 from phongfit.files.scenes import load_scene, load_views
 from phongfit.maps.result import load_maps
 from tests.campaign.cases import Case, Kind, Wrong, blaming, put
+from tests.files.test_gltf_reading import triangle
 
 Random = np.random.Generator
 
@@ -139,19 +139,7 @@ def _gltf(random: Random) -> bytes:
     if random.random() < 0.3:
         at = {"bufferView": 0, "componentType": 5121}
         accessor |= {"sparse": {"count": 1, "indices": at, "values": {"bufferView": 0}}}
-    uri = "data:application/octet-stream;base64," + base64.b64encode(bytes(36)).decode()
-    return json.dumps(
-        {
-            "asset": {"version": "2.0"},
-            "scene": 0,
-            "scenes": [{"nodes": [0]}],
-            "nodes": [{"mesh": 0}],
-            "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
-            "accessors": [accessor],
-            "bufferViews": [{"buffer": 0, "byteLength": 36}],
-            "buffers": [{"byteLength": 36, "uri": uri}],
-        }
-    ).encode()
+    return json.dumps(triangle(accessors=[accessor])).encode()
 
 
 def _gltf_of_nodes(random: Random) -> bytes:
@@ -161,22 +149,7 @@ def _gltf_of_nodes(random: Random) -> bytes:
     nodes = [{"children": [k + 1] * width} for k in range(depth)] + nodes
     if random.random() < 0.3:
         nodes[-1]["children"] = [0]
-    data = np.zeros(9, np.float32).tobytes()
-    uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
-    return json.dumps(
-        {
-            "asset": {"version": "2.0"},
-            "scene": 0,
-            "scenes": [{"nodes": [0]}],
-            "nodes": nodes,
-            "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
-            "accessors": [
-                {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}
-            ],
-            "bufferViews": [{"buffer": 0, "byteLength": 36}],
-            "buffers": [{"byteLength": 36, "uri": uri}],
-        }
-    ).encode()
+    return json.dumps(triangle(nodes=nodes)).encode()
 
 
 def _stl(random: Random) -> bytes:

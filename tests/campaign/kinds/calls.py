@@ -9,7 +9,7 @@ import os
 import pathlib
 import re
 import shutil
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,6 @@ import numpy as np
 
 from phongfit.cli import main
 from tests.campaign.cases import Case, Kind, Wrong
-
-Call = tuple[Callable[..., Any], dict[str, Any]]
 
 
 class _Hostile:
@@ -66,7 +64,7 @@ def _parts() -> dict[str, Any]:
 
 
 @functools.cache
-def _calls() -> dict[str, Call]:
+def _calls() -> list[partial[Any]]:
     """Every public function and class that a user calls, with good arguments."""
     import phongfit as pf
     from phongfit.material import stack_materials, unstack_materials
@@ -75,253 +73,124 @@ def _calls() -> dict[str, Call]:
     p = _parts()
     scene, image, material = p["scene"], p["image"], p["material"]
     fit, mesh, camera, light = p["fit"], p["mesh"], p["camera"], p["light"]
-    place = {"position": (0, 0, 3)}
-    colours = {"intensity": 1.0, "specular": 1.0, "ambient": 0.1}
-    fallen = {"attenuation": (1, 0, 0)}
+    film, seen, lights = p["film"], p["gbuffer"], (light,)
+    place = dict(position=(0, 0, 3), attenuation=(1, 0, 0))
+    colours = dict(intensity=1.0, specular=1.0, ambient=0.1)
     flat = np.broadcast_to([0.0, 0.0, 1.0], (8, 8, 3))
-    asked = {
-        "unknowns": ("ambient", "diffuse", "specular", "shininess"),
-        "per_channel": ("ambient", "diffuse", "specular"),
-        "per_image": (),
-        "bounds": {"shininess": (1, 500)},
-        "fixed": {"ambient": 0.5},
-        "ties": {},
-        "priors": {},
-    }
-    data = {"scene": scene, "image": image}
-    more = {"known": material, "film": p["film"], "loss": "linear", "max_steps": 50}
-    weighed = {"mask": np.ones((8, 8), bool), "weights": 1.0, "noise": 0.01}
-    stack = {"scenes": [scene] * 6, "images": [image] * 6}
-    maps = {
-        "unknowns": ("diffuse",),
-        "per_channel": ("ambient", "diffuse", "specular"),
-        "known": material,
-        "bounds": {"diffuse": (0, 1)},
-        "mask": np.ones((8, 8), bool),
-        "noise": 0.01,
-        "film": p["film"],
-        "loss": "linear",
-        "start": material,
-        "min_cosine": 0.0,
-        "tile_pixels": 512,
-        "devices": None,
-        "output": None,
-        "progress": False,
-    }
-    size = {"width": 8, "height": 8}
-    seen = {"position": (0, 0, 5), "rotation": np.eye(3)}
-    looks = {"position": (0, 0, 5), "target": (0, 0, 0), "up": (0, 1, 0)}
-    calls: dict[str, Call] = {
-        "Material": (
-            pf.Material,
-            dict(diffuse=0.5, specular=0.1, shininess=10, ambient=0.1, emission=0),
-        ),
-        "DirectionalLight": (pf.DirectionalLight, dict(direction=(0, 0, 1)) | colours),
-        "PointLight": (pf.PointLight, place | colours | fallen),
-        "SpotLight": (
-            pf.SpotLight,
-            place
-            | colours
-            | fallen
-            | dict(axis=(0, 0, -1), cutoff=30.0, exponent=1.0),
-        ),
-        "Fog": (
-            pf.Fog, dict(color=0.5, mode="exp", density=1.0, start=0.0, end=1.0)
-        ),
-        "Sphere": (pf.Sphere, dict(center=(0, 0, 0), radius=1.0)),
-        "Mesh": (
-            pf.Mesh,
-            dict(
-                vertices=[[0, 0, 0], [1, 0, 0], [0, 1, 0]],
-                faces=[[0, 1, 2]],
-                normals=None,
-                material_index=[0],
-                weighting="area",
-                crease_angle=None,
-                two_sided=False,
-            ),
-        ),
-        "NormalMap": (
-            pf.NormalMap,
-            dict(normals=flat, mask=None, positions=None, material_index=None),
-        ),
-        "ImplicitSurface": (
-            pf.ImplicitSurface,
-            dict(
-                function=lambda p: (p**2).sum() - 1,
-                lower=(-1, -1, -1),
-                upper=(1, 1, 1),
-                steps=16,
-            ),
-        ),
-        "tessellate": (
-            pf.geometry.tessellate,
-            dict(
-                function=lambda u, v: __import__("jax").numpy.stack([u, v, u * v]),
-                u=(0, 1),
-                v=(0, 1),
-                columns=2,
-                rows=2,
-                two_sided=False,
-            ),
-        ),
-        "Ball": (pf.shapes.Ball, dict(radius=1.0)),
-        "Ball.mesh": (pf.shapes.Ball().mesh, dict(columns=6, rows=4, two_sided=False)),
-        "Ball.surface": (pf.shapes.Ball().surface, dict(steps=16)),
-        "Torus": (pf.shapes.Torus, dict(major=1.0, minor=0.2)),
-        "Cylinder": (pf.shapes.Cylinder, dict(radius=1.0, height=2.0)),
-        "HeightField": (
-            pf.shapes.HeightField,
-            dict(function=lambda x, y: x, width=1.0, height=1.0, relief=2.0),
-        ),
-        "plane": (pf.shapes.plane, dict(width=1.0, height=1.0)),
-        "OrthographicCamera": (
-            pf.OrthographicCamera, size | seen | dict(view_height=2.2)
-        ),
-        "PerspectiveCamera": (pf.PerspectiveCamera, size | seen | dict(fov_y=30.0)),
-        "OrthographicCamera.look_at": (
-            pf.OrthographicCamera.look_at, size | looks | dict(view_height=2.2)
-        ),
-        "PerspectiveCamera.look_at": (
-            pf.PerspectiveCamera.look_at, size | looks | dict(fov_y=30.0)
-        ),
-        "look_at": (pf.geometry.look_at, looks),
-        "Scene": (
-            pf.Scene,
-            dict(
-                surface=pf.Sphere(),
-                camera=camera,
-                lights=(light,),
-                ambient=0.3,
-                specular_model=pf.BlinnPhong(),
-                shading=pf.PhongShading(),
-                fog=None,
-                shadows=False,
-                background=0.0,
-                local_viewer=None,
-            ),
-        ),
-        "Film": (pf.Film, dict(clamp=True, encoding="srgb", bits=8, jpeg=None)),
-        "Film.expose": (pf.Film().expose, dict(light=image)),
-        "JpegCompression": (
-            pf.rendering.JpegCompression,
-            dict(
-                tables=np.ones((3, 8, 8), int), sampling=((1, 1),) * 3, ycbcr=True
-            ),
-        ),
-        "JpegCompression.at_quality": (
-            pf.rendering.JpegCompression.at_quality,
-            dict(quality=90, subsampling="4:2:0"),
-        ),
-        "BlinnPhong": (pf.BlinnPhong, dict(gate=True, normalized=False)),
-        "Phong": (pf.Phong, dict(gate=True)),
-        "FlatShading": (pf.FlatShading, dict(at="centroid", clamp=False)),
-        "GouraudShading": (pf.GouraudShading, dict(clamp=False)),
-        "Huber": (pf.Huber, dict(k=1.0)),
-        "SoftL1": (pf.SoftL1, dict(k=1.0)),
-        "Cauchy": (pf.Cauchy, dict(k=1.0)),
-        "Tukey": (pf.Tukey, dict(k=1.0)),
-        "blinn_from_phong": (blinn_from_phong, dict(shininess=np.float32(3.0))),
-        "phong_from_blinn": (phong_from_blinn, dict(shininess=np.ones(3))),
-        "preset": (pf.preset, dict(name="brass")),
-        "stack_materials": (stack_materials, dict(materials=[material, material])),
-        "unstack_materials": (
-            unstack_materials, dict(material=material, count=None)
-        ),
-        "join": (pf.geometry.join, dict(meshes=[mesh, mesh])),
-        "trace": (
-            pf.geometry.trace,
-            dict(
-                surface=pf.Sphere(),
-                camera=camera,
-                lights=(light,),
-                shadows=False,
-                shading=None,
-            ),
-        ),
-        "Sphere.trace": (pf.Sphere().trace, dict(camera=camera)),
-        "Mesh.trace": (mesh.trace, dict(camera=camera)),
-        "terms": (pf.terms, dict(scene=scene, gbuffer=p["gbuffer"])),
-        "pixel_terms": (
-            pf.rendering.pixel_terms,
-            dict(scene=scene, gbuffer=p["gbuffer"]),
-        ),
-        "combine": (pf.rendering.combine, dict(terms=p["terms"], material=material)),
-        "render": (
-            pf.render,
-            dict(scene=scene, material=material, film=p["film"], gbuffer=p["gbuffer"]),
-        ),
-        "fit": (pf.fit, data | asked | more | weighed),
-        "Specification": (pf.Specification, asked | more),
-        "make_problem": (pf.make_problem, data | asked | weighed),
-        "predict_errors": (
-            pf.predict_errors,
-            asked
-            | dict(scene=scene, material=material, noise=0.01, film=p["film"])
-            | dict(mask=weighed["mask"], weights=1.0),
-        ),
-        "refit": (pf.refit, dict(fit=fit, scene=scene, image=image)),
-        "fit_maps": (pf.fit_maps, stack | maps),
-        "Fit.intervals": (fit.intervals, dict(level=0.95)),
-        "Fit.profile": (
-            fit.profile, dict(name="shininess", other=None, levels=(0.9,))
-        ),
-        "Fit.plot": (fit.plot, dict(names=("one",))),
-        "Fit.plot_profile": (fit.plot_profile, dict(name="shininess", other=None)),
-        "show": (pf.show, dict(image=image, title="title", brighten=1.0)),
-        "write_image": (
-            pf.write_image,
-            dict(path="out.png", image=image, encoding="srgb", bits=8),
-        ),
-        "read_image": (
-            pf.read_image, dict(path="in.png", encoding="srgb", max_pixels=None)
-        ),
-        "read_film": (pf.read_film, dict(path="in.png", encoding="srgb")),
-        "read_mtl": (pf.read_mtl, dict(path="in.mtl")),
-        "write_mtl": (
-            pf.write_mtl,
-            dict(path="out.mtl", materials={"one": material}, nearest=False),
-        ),
-        "save_scene": (
-            pf.save_scene,
-            dict(path="out.json", scene=scene, film=p["film"], images=()),
-        ),
-        "load_scene": (pf.load_scene, dict(path="in.json")),
-        "load_mesh": (pf.load_mesh, dict(path="in.obj")),
-        "save_fit": (pf.save_fit, dict(path="out.fit", fit=fit)),
-        "Fit.save": (fit.save, dict(path="out.fit")),
-        "load_fit": (pf.load_fit, dict(path="in.fit")),
-        "load_maps": (pf.load_maps, dict(path="in.npz")),
-        "open_dataset": (
-            pf.open_dataset, dict(folder="in", min_cosine=0.1, min_facing=0.1)
-        ),
-        "read_dataset": (
-            pf.read_dataset, dict(folder="in", min_cosine=0.1, min_facing=0.1)
-        ),
-        "PhotographStack": (
-            pf.PhotographStack, dict(paths=["in.png"], encoding="srgb")
-        ),
-        "write_page": (
-            pf.write_page,
-            dict(
-                path="out.html",
-                fit=fit,
-                title="title",
-                names=("one",),
-                assumptions={"a": "b"},
-                command="",
-                loading="",
-                diagnostics=None,
-            ),
-        ),
-        "check_gradients": (
-            functools.partial(
-                pf.testing.check_gradients, lambda x: x**2, np.ones(2)
-            ),
-            dict(order=1, finite_differences=True),
-        ),
-    }  # fmt: skip
-    return calls
+    colourful = ("ambient", "diffuse", "specular")
+    asked = dict(
+        unknowns=(*colourful, "shininess"), per_channel=colourful, per_image=(),
+        bounds={"shininess": (1, 500)}, fixed={"ambient": 0.5}, ties={}, priors={},
+    )  # fmt: skip
+    data = dict(scene=scene, image=image)
+    more = dict(known=material, film=film, loss="linear", max_steps=50)
+    weighed = dict(mask=np.ones((8, 8), bool), weights=1.0, noise=0.01)
+    size = dict(width=8, height=8)
+    stands = dict(position=(0, 0, 5), rotation=np.eye(3))
+    looks = dict(position=(0, 0, 5), target=(0, 0, 0), up=(0, 1, 0))
+    triangle = dict(vertices=[[0, 0, 0], [1, 0, 0], [0, 1, 0]], faces=[[0, 1, 2]])
+    grazing = dict(folder="in", min_cosine=0.1, min_facing=0.1)
+
+    def bumpy(u: Any, v: Any) -> Any:
+        import jax.numpy as jnp
+
+        return jnp.stack([u, v, u * v])
+
+    return [
+        partial(pf.Material, diffuse=0.5, specular=0.1, shininess=10, ambient=0.1,
+                emission=0),
+        partial(pf.DirectionalLight, direction=(0, 0, 1), **colours),
+        partial(pf.PointLight, **place, **colours),
+        partial(pf.SpotLight, axis=(0, 0, -1), cutoff=30.0, exponent=1.0, **place,
+                **colours),
+        partial(pf.Fog, color=0.5, mode="exp", density=1.0, start=0.0, end=1.0),
+        partial(pf.Sphere, center=(0, 0, 0), radius=1.0),
+        partial(pf.Mesh, **triangle, normals=None, material_index=[0],
+                weighting="area", crease_angle=None, two_sided=False),
+        partial(pf.NormalMap, normals=flat, mask=None, positions=None,
+                material_index=None),
+        partial(pf.ImplicitSurface, function=lambda p: (p**2).sum() - 1,
+                lower=(-1, -1, -1), upper=(1, 1, 1), steps=16),
+        partial(pf.geometry.tessellate, function=bumpy, u=(0, 1), v=(0, 1), columns=2,
+                rows=2, two_sided=False),
+        partial(pf.shapes.Ball, radius=1.0),
+        partial(pf.shapes.Ball().mesh, columns=6, rows=4, two_sided=False),
+        partial(pf.shapes.Ball().surface, steps=16),
+        partial(pf.shapes.Torus, major=1.0, minor=0.2),
+        partial(pf.shapes.Cylinder, radius=1.0, height=2.0),
+        partial(pf.shapes.HeightField, function=lambda x, y: x, width=1.0, height=1.0,
+                relief=2.0),
+        partial(pf.shapes.plane, width=1.0, height=1.0),
+        partial(pf.OrthographicCamera, **size, **stands, view_height=2.2),
+        partial(pf.PerspectiveCamera, **size, **stands, fov_y=30.0),
+        partial(pf.OrthographicCamera.look_at, **size, **looks, view_height=2.2),
+        partial(pf.PerspectiveCamera.look_at, **size, **looks, fov_y=30.0),
+        partial(pf.geometry.look_at, **looks),
+        partial(pf.Scene, surface=pf.Sphere(), camera=camera, lights=lights,
+                ambient=0.3, specular_model=pf.BlinnPhong(), shading=pf.PhongShading(),
+                fog=None, shadows=False, background=0.0, local_viewer=None),
+        partial(pf.Film, clamp=True, encoding="srgb", bits=8, jpeg=None),
+        partial(pf.Film().expose, light=image),
+        partial(pf.rendering.JpegCompression, tables=np.ones((3, 8, 8), int),
+                sampling=((1, 1),) * 3, ycbcr=True),
+        partial(pf.rendering.JpegCompression.at_quality, quality=90,
+                subsampling="4:2:0"),
+        partial(pf.BlinnPhong, gate=True, normalized=False),
+        partial(pf.Phong, gate=True),
+        partial(pf.FlatShading, at="centroid", clamp=False),
+        partial(pf.GouraudShading, clamp=False),
+        *(partial(loss, k=1.0) for loss in (pf.Huber, pf.SoftL1, pf.Cauchy, pf.Tukey)),
+        partial(blinn_from_phong, shininess=np.float32(3.0)),
+        partial(phong_from_blinn, shininess=np.ones(3)),
+        partial(pf.preset, name="brass"),
+        partial(stack_materials, materials=[material, material]),
+        partial(unstack_materials, material=material, count=None),
+        partial(pf.geometry.join, meshes=[mesh, mesh]),
+        partial(pf.geometry.trace, surface=pf.Sphere(), camera=camera, lights=lights,
+                shadows=False, shading=None),
+        partial(pf.Sphere().trace, camera=camera),
+        partial(mesh.trace, camera=camera),
+        partial(pf.terms, scene=scene, gbuffer=seen),
+        partial(pf.rendering.pixel_terms, scene=scene, gbuffer=seen),
+        partial(pf.rendering.combine, terms=p["terms"], material=material),
+        partial(pf.render, scene=scene, material=material, film=film, gbuffer=seen),
+        partial(pf.fit, **data, **asked, **more, **weighed),
+        partial(pf.Specification, **asked, **more),
+        partial(pf.make_problem, **data, **asked, **weighed),
+        partial(pf.predict_errors, scene=scene, material=material, film=film, **asked,
+                **weighed),
+        partial(pf.refit, fit=fit, **data),
+        partial(pf.fit_maps, scenes=[scene] * 6, images=[image] * 6,
+                unknowns=("diffuse",), per_channel=colourful, known=material,
+                bounds={"diffuse": (0, 1)}, mask=np.ones((8, 8), bool), noise=0.01,
+                film=film, loss="linear", start=material, min_cosine=0.0,
+                tile_pixels=512, devices=None, output=None, progress=False),
+        partial(fit.intervals, level=0.95),
+        partial(fit.profile, name="shininess", other=None, levels=(0.9,)),
+        partial(fit.plot, names=("one",)),
+        partial(fit.plot_profile, name="shininess", other=None),
+        partial(pf.show, image=image, title="title", brighten=1.0),
+        partial(pf.write_image, path="out.png", image=image, encoding="srgb", bits=8),
+        partial(pf.read_image, path="in.png", encoding="srgb", max_pixels=None),
+        partial(pf.read_film, path="in.png", encoding="srgb"),
+        partial(pf.read_mtl, path="in.mtl"),
+        partial(pf.write_mtl, path="out.mtl", materials={"one": material},
+                nearest=False),
+        partial(pf.save_scene, path="out.json", scene=scene, film=film, images=()),
+        partial(pf.load_scene, path="in.json"),
+        partial(pf.load_mesh, path="in.obj"),
+        partial(pf.save_fit, path="out.fit", fit=fit),
+        partial(fit.save, path="out.fit"),
+        partial(pf.load_fit, path="in.fit"),
+        partial(pf.load_maps, path="in.npz"),
+        partial(pf.open_dataset, **grazing),
+        partial(pf.read_dataset, **grazing),
+        partial(pf.PhotographStack, paths=["in.png"], encoding="srgb"),
+        partial(pf.write_page, path="out.html", fit=fit, title="title", names=("one",),
+                assumptions={"a": "b"}, command="", loading="", diagnostics=None),
+        partial(pf.testing.check_gradients, lambda x: x**2, np.ones(2), order=1,
+                finite_differences=True),
+    ]  # fmt: skip
 
 
 def _junk(random: np.random.Generator) -> Any:
@@ -388,15 +257,14 @@ def _named(argument: str, junk: Any, words: str) -> bool:
 
 def make(random: np.random.Generator, stock: Path) -> Case:
     calls = _calls()
-    name = str(random.choice(list(calls)))
-    function, arguments = calls[name]
-    argument = str(random.choice(list(arguments)))
+    call = calls[int(random.integers(len(calls)))]
+    argument = str(random.choice(list(call.keywords)))
     junk = _junk(random)
 
     def act(folder: Path) -> None:
         with contextlib.chdir(folder / WORK), contextlib.redirect_stdout(io.StringIO()):
             try:
-                function(**arguments | {argument: junk})
+                call(**{argument: junk})
             except (ValueError, OSError) as error:
                 if not _named(argument, junk, str(error)):
                     raise Wrong(f"{argument} is not named: {error!r}") from error
@@ -405,6 +273,7 @@ def make(random: np.random.Generator, stock: Path) -> Case:
     def arrange(folder: Path) -> None:
         shutil.copytree(stock / "calls", folder / WORK)
 
+    name = call.func.__qualname__
     return Case(f"{name}({argument}={_told(junk)})", arrange, act, (WORK,))
 
 
