@@ -57,6 +57,16 @@ class Situation:
     draw_fraction: float = 1.0
 
 
+def alike(
+    kind: Kind, answers: Mapping[str, Callable[[Draws], Answers]], **options: Any
+) -> list[Situation]:
+    """Situations that differ in their names and answers alone.
+
+    **Arguments:** `options`: other fields of [`Situation`][].
+    """
+    return [Situation(name, kind, one, **options) for name, one in answers.items()]
+
+
 @dataclasses.dataclass(frozen=True)
 class Subject:
     """Scenes of one material, of which photographs are made: the truth of a fit."""

@@ -17,6 +17,7 @@ from experiments.honesty.situations.base import (
     UNCLAMPED,
     Draws,
     Situation,
+    alike,
 )
 from phongfit.files.captures import open_capture
 
@@ -54,73 +55,44 @@ def situations() -> list[Situation]:
     bounds = {"shininess": (15.0, 1000.0)}
     # Each draw fits a whole map.
     few_draws: Any = {"draw_fraction": 0.04}
-    return [
-        Situation(
-            "normals, a shared highlight", "right", shared_highlight(), **few_draws
-        ),
-        Situation(
-            "normals, a shared highlight of a matte ball",
-            "open",
-            shared_highlight(0.0),
-            unidentifiable=("shininess",),
-            wide=True,
-            draw_fraction=0.2,
-        ),
-        Situation(
-            "normals, the same, f from 15",
-            "open",
-            shared_highlight(0.0, bounds=bounds),
-            unidentifiable=("shininess",),
-            wide=True,
-            draw_fraction=0.2,
-        ),
-        Situation(
-            "normals, materials of a matte ball counted",
-            "right",
-            matte_ball_materials,
-            **few_draws,
-        ),
-        Situation(
-            "normals, near lamps",
-            "right",
-            shared_highlight(near=True),
-            wide=True,
-            **few_draws,
-        ),
-        Situation(
-            "normals, near lamps in one pass",
-            "wrong",
+    right = {
+        "normals, a shared highlight": shared_highlight(),
+        "normals, materials of a matte ball counted": matte_ball_materials,
+    }
+    wide = {
+        "normals, near lamps": shared_highlight(near=True),
+        "normals, strengths fitted": strengths,
+        "an angle of view fitted": angle_of_view,
+    }
+    without_exponent = {
+        "normals, a shared highlight of a matte ball": shared_highlight(0.0),
+        "normals, the same, f from 15": shared_highlight(0.0, bounds=bounds),
+        "the texture of a matte mesh": texture,
+    }
+    wrong = {
+        "normals, near lamps in one pass": (
             shared_highlight(near=True, passes=1),
-            required_warning="[pixels-misplaced]",
-            **few_draws,
+            "[pixels-misplaced]",
         ),
-        Situation(
-            "normals, strengths fitted", "right", strengths, wide=True, **few_draws
-        ),
-        Situation(
-            "normals, lamps of other strengths",
-            "wrong",
+        "normals, lamps of other strengths": (
             shared_highlight(unequal_strengths=True),
-            required_warning="[strengths-doubtful]",
-            **few_draws,
+            "[strengths-doubtful]",
         ),
-        Situation(
-            "an angle of view fitted", "right", angle_of_view, wide=True, **few_draws
-        ),
-        Situation(
-            "the texture of a matte mesh",
+        "lamps behind the surface": (lamps_behind, "turn the sign of z"),
+    }
+    return [
+        *alike("right", right, **few_draws),
+        *alike("right", wide, wide=True, **few_draws),
+        *alike(
             "open",
-            texture,
+            without_exponent,
             unidentifiable=("shininess",),
             wide=True,
             draw_fraction=0.2,
         ),
-        Situation(
-            "lamps behind the surface",
-            "wrong",
-            lamps_behind,
-            required_warning="turn the sign of z",
-            **few_draws,
+        *(
+            Situation(name, "wrong", answer, required_warning=warning, **few_draws)
+            for name, (answer, warning) in wrong.items()
         ),
     ]
 

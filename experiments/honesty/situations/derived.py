@@ -14,6 +14,7 @@ from experiments.honesty.situations.base import (
     Photograph,
     Situation,
     Subject,
+    alike,
     ball_scene,
     fits,
     noisy,
@@ -26,20 +27,14 @@ from phongfit.fitting.uncertainty.quantiles import student_reach
 
 def situations() -> list[Situation]:
     """All situations with predicted errors and with profiles."""
+    at_bound = usual_subject(usual_material(ambient=(0.0, 0.4, 0.3)))
+    broad = usual_subject(usual_material(shininess=1.5), ball_scene(size=24))
+    matte = usual_subject(usual_material(specular=0.0))
     predictions = {
-        "predicted errors": (usual_subject(), NOISE),
-        "predicted errors at a bound": (
-            usual_subject(usual_material(ambient=(0.0, 0.4, 0.3))),
-            NOISE,
-        ),
-        "predicted errors, f = 1.5, noise 0.2": (
-            usual_subject(usual_material(shininess=1.5), ball_scene(size=24)),
-            0.2,
-        ),
-        "predicted errors without a highlight": (
-            usual_subject(usual_material(specular=0.0)),
-            NOISE,
-        ),
+        "predicted errors": predicted(usual_subject(), NOISE),
+        "predicted errors at a bound": predicted(at_bound, NOISE),
+        "predicted errors, f = 1.5, noise 0.2": predicted(broad, 0.2),
+        "predicted errors without a highlight": predicted(matte, NOISE),
     }
     brass = pf.preset("brass")
     levels = film("linear", 8, NOISE)
@@ -54,14 +49,8 @@ def situations() -> list[Situation]:
         ),
     }
     return [
-        *(
-            Situation(name, "doubtful", predicted(*arguments), wide=True)
-            for name, arguments in predictions.items()
-        ),
-        *(
-            Situation(name, "right", answer, wide=True, draw_fraction=0.5)
-            for name, answer in profiles.items()
-        ),
+        *alike("doubtful", predictions, wide=True),
+        *alike("right", profiles, wide=True, draw_fraction=0.5),
     ]
 
 

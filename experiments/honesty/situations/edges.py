@@ -13,6 +13,7 @@ from experiments.honesty.situations.base import (
     Image,
     Situation,
     Subject,
+    alike,
     ball_scene,
     cached_subject,
     clamped,
@@ -93,91 +94,55 @@ def bounds() -> list[Situation]:
         "ρ_s beyond 1": usual_material(specular=(0.999, 0.998, 0.5)),
         "f = 1.2": usual_material(shininess=1.2),
     }
-    return [
-        *(
-            Situation(name, "right", fits(usual_subject(material), noisy()))
-            for name, material in materials.items()
-        ),
-        *(
-            Situation(name, "right", answer, wide=True)
-            for name, answer in few_pixels.items()
-        ),
+    plain = {name: fits(usual_subject(x), noisy()) for name, x in materials.items()}
+    doubtful = {
         # The highlight covers two pixels, and the noise is half as high as its peak.
-        Situation(
-            "the same, a narrow highlight",
-            "doubtful",
-            fits(narrow, strong_noise),
-            wide=True,
+        "the same, a narrow highlight": fits(narrow, strong_noise),
+        "two lamps 0.002 rad apart": fits(
+            usual_subject(MATERIAL, twins),
+            noisy(),
+            unknowns=tuple(f"scene.lights[{k}].intensity" for k in range(2)),
+            known=MATERIAL,
         ),
-        Situation(
-            "two lamps 0.002 rad apart",
-            "doubtful",
-            fits(
-                usual_subject(MATERIAL, twins),
-                noisy(),
-                unknowns=tuple(f"scene.lights[{k}].intensity" for k in range(2)),
-                known=MATERIAL,
-            ),
-            wide=True,
-        ),
-        Situation(
-            "f past its bound",
-            "wrong",
-            fits(usual_subject(usual_material(shininess=1600.0)), noisy()),
-        ),
+    }
+    beyond = fits(usual_subject(usual_material(shininess=1600.0)), noisy())
+    return [
+        *alike("right", plain),
+        *alike("right", few_pixels, wide=True),
+        *alike("doubtful", doubtful, wide=True),
+        Situation("f past its bound", "wrong", beyond),
     ]
 
 
 def unidentified() -> list[Situation]:
     """Situations with parameters that no pixel identifies."""
     faint = usual_material(specular=0.004)
-    exponent = ("shininess",)
-    highlight = ("specular", "shininess")
+    shiny = usual_subject(usual_material(specular=0.51))
     plate = ball_scene(
         surface=pf.NormalMap(np.ones((36, 36, 1)) * [0.0, 0.0, 1.0]), size=36
     )
+    white_scene = ball_scene(lamp(intensity=9.0), ambient=9.0)
+    matte = {
+        "no highlight": fits(usual_subject(usual_material(specular=0.0)), noisy()),
+    }
+    hardly_seen = {
+        "a highlight hidden by the mask": fits(
+            shiny, noisy(), draw_options=highlight_hidden
+        ),
+        "a highlight that is smooth all over": fits(
+            usual_subject(shiny.material, window()), noisy(0.05)
+        ),
+    }
+    nothing_told = {
+        "a flat plate": fits(usual_subject(MATERIAL, plate), noisy()),
+        "all white": fits(usual_subject(MATERIAL, white_scene), overexposed),
+    }
+    every = ("ambient", "diffuse", "specular", "shininess")
     return [
-        Situation(
-            "no highlight",
-            "open",
-            fits(usual_subject(usual_material(specular=0.0)), noisy()),
-            unidentifiable=exponent,
-            wide=True,
-        ),
+        *alike("open", matte, unidentifiable=("shininess",), wide=True),
         Situation("a faint highlight", "doubtful", fits(usual_subject(faint), noisy())),
-        Situation(
-            "a highlight hidden by the mask",
-            "doubtful",
-            fits(
-                usual_subject(usual_material(specular=0.51)),
-                noisy(),
-                draw_options=highlight_hidden,
-            ),
-            wide=True,
-        ),
-        Situation(
-            "a highlight that is smooth all over",
-            "doubtful",
-            fits(usual_subject(usual_material(specular=0.51), window()), noisy(0.05)),
-            wide=True,
-        ),
-        Situation(
-            "a flat plate",
-            "open",
-            fits(usual_subject(MATERIAL, plate), noisy()),
-            unidentifiable=(*highlight, "ambient", "diffuse"),
-            wide=True,
-        ),
-        Situation(
-            "all white",
-            "open",
-            fits(
-                usual_subject(MATERIAL, ball_scene(lamp(intensity=9.0), ambient=9.0)),
-                overexposed,
-            ),
-            unidentifiable=("ambient", "diffuse", *highlight),
-            wide=True,
-        ),
+        *alike("doubtful", hardly_seen, wide=True),
+        *alike("open", nothing_told, unidentifiable=every, wide=True),
     ]
 
 

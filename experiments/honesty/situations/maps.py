@@ -11,7 +11,13 @@ from jaxtyping import Float
 import phongfit as pf
 from data_synth.lights import spread_directions
 from experiments.honesty.answers import LEVEL, Answers
-from experiments.honesty.situations.base import NOISE, UNCLAMPED, Draws, Situation
+from experiments.honesty.situations.base import (
+    NOISE,
+    UNCLAMPED,
+    Draws,
+    Situation,
+    alike,
+)
 from phongfit.fitting.uncertainty.quantiles import student_reach
 
 # Pixels of each draw: a map has one row of them for each draw.
@@ -49,27 +55,18 @@ def situations() -> list[Situation]:
         "maps, an exponent a channel": maps(per_channel=PARAMETERS),
         "maps, seven lights": maps(full_mask, lights=7, **given),
     }
+    no_red = {"maps, a masked channel": maps(masked, **given)}
+    red = ("ambient.red", "diffuse.red", "specular.red")
+    dull = {"maps, no highlight": maps(materials=matte)}
     wide = ("0.05", "bounds", "garbage", "seven", "channel", "missing", "mosaic")
     return [
         *(
             Situation(name, "right", answer, wide=any(word in name for word in wide))
             for name, answer in right.items()
         ),
-        Situation(
-            "maps, a masked channel",
-            "open",
-            maps(masked, **given),
-            unidentifiable=("ambient.red", "diffuse.red", "specular.red"),
-            wide=True,
-        ),
+        *alike("open", no_red, unidentifiable=red, wide=True),
         Situation("maps, an unknown shadow", "wrong", maps(shadowed, **given)),
-        Situation(
-            "maps, no highlight",
-            "open",
-            maps(materials=matte),
-            unidentifiable=("shininess",),
-            wide=True,
-        ),
+        *alike("open", dull, unidentifiable=("shininess",), wide=True),
     ]
 
 

@@ -14,6 +14,7 @@ from experiments.honesty.situations.base import (
     Image,
     Situation,
     Subject,
+    alike,
     ball_scene,
     cached_subject,
     fits,
@@ -50,23 +51,18 @@ def situations() -> list[Situation]:
         "flat shading": mesh_ball(pf.FlatShading()),
         "Gouraud shading": mesh_ball(pf.GouraudShading()),
     }
-    with_default_options = [
-        Situation(name, "right", fits(subject, noisy()))
-        for name, subject in subjects.items()
-    ]
+    answers = {name: fits(subject, noisy()) for name, subject in subjects.items()}
     grey = pf.Material(0.5, 0.3, 20.0, 0.4)
     coloured = usual_material(shininess=(12.0, 20.0, 40.0))
-    return [
-        *with_default_options,
-        Situation("any material", "right", fits(random_material, noisy())),
-        Situation("grey", "right", fits(usual_subject(grey), noisy(), per_channel=())),
-        Situation("one channel thrice", "right", fits(usual_subject(grey), grey_noise)),
-        Situation(
-            "an exponent a channel",
-            "right",
-            fits(usual_subject(coloured), noisy(), per_channel=PARAMETERS),
+    answers |= {
+        "any material": fits(random_material, noisy()),
+        "grey": fits(usual_subject(grey), noisy(), per_channel=()),
+        "one channel thrice": fits(usual_subject(grey), grey_noise),
+        "an exponent a channel": fits(
+            usual_subject(coloured), noisy(), per_channel=PARAMETERS
         ),
-    ]
+    }
+    return alike("right", answers)
 
 
 def under_two_lamps(**changes: Any) -> pf.Scene:

@@ -11,6 +11,7 @@ from experiments.honesty.situations.base import (
     Image,
     Photograph,
     Situation,
+    alike,
     clamped,
     fits,
     noisy,
@@ -72,15 +73,9 @@ def situations() -> list[Situation]:
         "no noise, 8 bits, sRGB": fits(random_material, film("srgb", 8, 0.0)),
     }
     return [
-        *(Situation(name, "right", answer) for name, answer in right.items()),
-        *(
-            Situation(n, "doubtful", answer, wide=True)
-            for n, answer in doubtful.items()
-        ),
-        *(
-            Situation(name, "right", answer, wide=True)
-            for name, answer in exact.items()
-        ),
+        *alike("right", right),
+        *alike("doubtful", doubtful, wide=True),
+        *alike("right", exact, wide=True),
     ]
 
 

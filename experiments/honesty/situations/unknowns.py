@@ -14,6 +14,7 @@ from experiments.honesty.situations.base import (
     Image,
     Situation,
     Subject,
+    alike,
     ball_scene,
     clamped,
     fits,
@@ -56,148 +57,99 @@ def scene_unknowns() -> list[Situation]:
         pf.SpotLight((1, 1, 3), (-1, -1, -3), 0.6, cutoff=angle) for angle in (12, 14)
     )
     subject = usual_subject(MATERIAL, small_ball())
+    aim, place = "scene.lights[0].direction", "scene.lights[0].position"
+    known: Any = {"known": MATERIAL}
+    right = {
+        "the lamp's intensity unknown": fits(
+            subject,
+            noisy(),
+            fitted=small_ball(lamp(intensity=0.3)),
+            unknowns=("specular", "shininess", "scene.lights[0].intensity"),
+            **known,
+        ),
+        "the lamp's direction unknown, 20° off": fits(
+            subject,
+            noisy(),
+            fitted=small_ball(lamp(tilted_direction(20.0))),
+            unknowns=(*USUAL, aim),
+        ),
+        "the lamp's direction unknown, 120° off": fits(
+            subject,
+            noisy(),
+            fitted=small_ball(lamp(tilted_direction(120.0))),
+            unknowns=(*USUAL, aim),
+        ),
+        "the lamp unknown, a weak and narrow highlight": fits(
+            usual_subject(
+                pf.Material((0.4, 0.3, 0.2), 0.06, 400.0, 0.1),
+                small_ball(lamp((-0.6, -0.2, 0.75))),
+            ),
+            noisy(0.005),
+            fitted=small_ball(lamp((0, 0, 1))),
+            unknowns=(*USUAL, aim),
+        ),
+        "a bulb's position unknown": fits(
+            usual_subject(MATERIAL, small_ball(true_bulb)),
+            noisy(),
+            fitted=small_ball(first_guess),
+            unknowns=(*USUAL, place),
+        ),
+        "a bulb's position uncertain": fits(
+            bulb_misplaced,
+            noisy(0.03),
+            fitted=small_ball(near_bulb()),
+            uncertain={place: POSITION_SIGMA},
+        ),
+        "a spot's position unknown, its rim seen": fits(
+            usual_subject(MATERIAL, small_ball(true_spot)),
+            noisy(0.002),
+            fitted=small_ball(pf.SpotLight((1.1, 1, 3), (-1, -1, -3), 0.6, cutoff=12)),
+            unknowns=("ambient", "diffuse", place),
+            **known,
+        ),
+        "the ball's radius unknown": fits(
+            usual_subject(MATERIAL, small_ball(surface=pf.Sphere(radius=0.8))),
+            noisy(0.002),
+            fitted=small_ball(surface=pf.Sphere(radius=0.83)),
+            unknowns=("ambient", "diffuse", "scene.surface.radius"),
+            **known,
+        ),
+        "exposures unknown": fits(
+            usual_subject(MATERIAL, *exposure_scenes(EXPOSURES)),
+            noisy(),
+            fitted=exposure_scenes((1.0, 1.0, 1.0)),
+            unknowns=(*USUAL, "exposure"),
+            fixed={"exposure[0]": 1.0},
+            other_truths={f"exposure[{k}]": x for k, x in enumerate(EXPOSURES)},
+        ),
+        "two lamps mirrored by a tie": fits(
+            usual_subject(MATERIAL, small_ball(*bulbs(1.5))),
+            noisy(),
+            fitted=small_ball(*bulbs(1.2)),
+            unknowns=("diffuse", place, "scene.lights[1].position"),
+            ties=mirrored(),
+            **known,
+        ),
+        "the camera's rotation unknown": fits(
+            usual_subject(MATERIAL, small_ball(camera=turned_camera(TURN))),
+            noisy(),
+            fitted=small_ball(),
+            draw_options=central_mask,
+            unknowns=("diffuse", "scene.camera.rotation"),
+            other_truths=dict(zip(TURN_LABELS, TURN, strict=True)),
+            **known,
+        ),
+    }
+    cutoff = fits(
+        usual_subject(MATERIAL, small_ball(true_spot)),
+        noisy(),
+        fitted=small_ball(wider_spot),
+        unknowns=("diffuse", "scene.lights[0].cutoff"),
+        **known,
+    )
     return [
-        Situation(
-            "the lamp's intensity unknown",
-            "right",
-            fits(
-                subject,
-                noisy(),
-                fitted=small_ball(lamp(intensity=0.3)),
-                unknowns=("specular", "shininess", "scene.lights[0].intensity"),
-                known=MATERIAL,
-            ),
-        ),
-        Situation(
-            "the lamp's direction unknown, 20° off",
-            "right",
-            fits(
-                subject,
-                noisy(),
-                fitted=small_ball(lamp(tilted_direction(20.0))),
-                unknowns=(*USUAL, "scene.lights[0].direction"),
-            ),
-        ),
-        Situation(
-            "the lamp's direction unknown, 120° off",
-            "right",
-            fits(
-                subject,
-                noisy(),
-                fitted=small_ball(lamp(tilted_direction(120.0))),
-                unknowns=(*USUAL, "scene.lights[0].direction"),
-            ),
-        ),
-        Situation(
-            "the lamp unknown, a weak and narrow highlight",
-            "right",
-            fits(
-                usual_subject(
-                    pf.Material((0.4, 0.3, 0.2), 0.06, 400.0, 0.1),
-                    small_ball(lamp((-0.6, -0.2, 0.75))),
-                ),
-                noisy(0.005),
-                fitted=small_ball(lamp((0, 0, 1))),
-                unknowns=(*USUAL, "scene.lights[0].direction"),
-            ),
-        ),
-        Situation(
-            "a bulb's position unknown",
-            "right",
-            fits(
-                usual_subject(MATERIAL, small_ball(true_bulb)),
-                noisy(),
-                fitted=small_ball(first_guess),
-                unknowns=(*USUAL, "scene.lights[0].position"),
-            ),
-        ),
-        Situation(
-            "a bulb's position uncertain",
-            "right",
-            fits(
-                bulb_misplaced,
-                noisy(0.03),
-                fitted=small_ball(near_bulb()),
-                uncertain={"scene.lights[0].position": POSITION_SIGMA},
-            ),
-        ),
-        Situation(
-            "a spot's position unknown, its rim seen",
-            "right",
-            fits(
-                usual_subject(MATERIAL, small_ball(true_spot)),
-                noisy(0.002),
-                fitted=small_ball(
-                    pf.SpotLight((1.1, 1, 3), (-1, -1, -3), 0.6, cutoff=12)
-                ),
-                unknowns=("ambient", "diffuse", "scene.lights[0].position"),
-                known=MATERIAL,
-            ),
-        ),
-        Situation(
-            "the ball's radius unknown",
-            "right",
-            fits(
-                usual_subject(MATERIAL, small_ball(surface=pf.Sphere(radius=0.8))),
-                noisy(0.002),
-                fitted=small_ball(surface=pf.Sphere(radius=0.83)),
-                unknowns=("ambient", "diffuse", "scene.surface.radius"),
-                known=MATERIAL,
-            ),
-        ),
-        Situation(
-            "a spot's cutoff unknown",
-            "doubtful",
-            fits(
-                usual_subject(MATERIAL, small_ball(true_spot)),
-                noisy(),
-                fitted=small_ball(wider_spot),
-                unknowns=("diffuse", "scene.lights[0].cutoff"),
-                known=MATERIAL,
-            ),
-            wide=True,
-        ),
-        Situation(
-            "exposures unknown",
-            "right",
-            fits(
-                usual_subject(MATERIAL, *exposure_scenes(EXPOSURES)),
-                noisy(),
-                fitted=exposure_scenes((1.0, 1.0, 1.0)),
-                unknowns=(*USUAL, "exposure"),
-                fixed={"exposure[0]": 1.0},
-                other_truths={f"exposure[{k}]": x for k, x in enumerate(EXPOSURES)},
-            ),
-        ),
-        Situation(
-            "two lamps mirrored by a tie",
-            "right",
-            fits(
-                usual_subject(MATERIAL, small_ball(*bulbs(1.5))),
-                noisy(),
-                fitted=small_ball(*bulbs(1.2)),
-                unknowns=(
-                    "diffuse",
-                    "scene.lights[0].position",
-                    "scene.lights[1].position",
-                ),
-                known=MATERIAL,
-                ties=mirrored(),
-            ),
-        ),
-        Situation(
-            "the camera's rotation unknown",
-            "right",
-            fits(
-                usual_subject(MATERIAL, small_ball(camera=turned_camera(TURN))),
-                noisy(),
-                fitted=small_ball(),
-                draw_options=central_mask,
-                unknowns=("diffuse", "scene.camera.rotation"),
-                known=MATERIAL,
-                other_truths=dict(zip(TURN_LABELS, TURN, strict=True)),
-            ),
-        ),
+        *alike("right", right),
+        Situation("a spot's cutoff unknown", "doubtful", cutoff, wide=True),
     ]
 
 
@@ -282,33 +234,26 @@ def ties_and_priors() -> list[Situation]:
     equal = {"specular.green": "specular.red", "specular.blue": "specular.red"}
     half = {"diffuse.green": (0.5, "diffuse.red")}
     contradictory = {"diffuse.red": (0.3, 1e-4), "shininess": (60.0, 0.1)}
-    cases: dict[str, tuple[Any, Any]] = {
-        "equal by a tie": (
-            "right",
-            fits(usual_subject(grey_specular), noisy(), ties=equal),
-        ),
-        "half by a tie": ("right", fits(usual_subject(), noisy(), ties=half)),
-        "a tie to what is negative": (
-            "wrong",
-            fits(
-                usual_subject(), noisy(), ties={"diffuse.green": (-0.5, "diffuse.red")}
-            ),
-        ),
-        "a tie to what is wrong": (
-            "wrong",
-            fits(
-                usual_subject(), noisy(), ties={"diffuse.green": (0.55, "diffuse.red")}
-            ),
-        ),
-        "a right prior": ("right", with_prior(20.0, 0.2)),
-        "a prior 25 σ off": ("doubtful", with_prior(25.0, 0.2)),
-        "contradictory priors": (
-            "wrong",
-            fits(usual_subject(), noisy(), priors=contradictory),
-        ),
-        "a right prior, clamped": ("right", with_prior(20.0, 0.2, cut=True)),
+    right = {
+        "equal by a tie": fits(usual_subject(grey_specular), noisy(), ties=equal),
+        "half by a tie": fits(usual_subject(), noisy(), ties=half),
+        "a right prior": with_prior(20.0, 0.2),
+        "a right prior, clamped": with_prior(20.0, 0.2, cut=True),
     }
-    return [Situation(name, kind, answer) for name, (kind, answer) in cases.items()]
+    wrong = {
+        "a tie to what is negative": fits(
+            usual_subject(), noisy(), ties={"diffuse.green": (-0.5, "diffuse.red")}
+        ),
+        "a tie to what is wrong": fits(
+            usual_subject(), noisy(), ties={"diffuse.green": (0.55, "diffuse.red")}
+        ),
+        "contradictory priors": fits(usual_subject(), noisy(), priors=contradictory),
+    }
+    return [
+        *alike("right", right),
+        *alike("wrong", wrong),
+        Situation("a prior 25 σ off", "doubtful", with_prior(25.0, 0.2)),
+    ]
 
 
 def with_prior(center: float, deviation: float, cut: bool = False) -> Any:
