@@ -3,7 +3,6 @@
 import io
 import os
 import struct
-import zlib
 from concurrent.futures import ThreadPoolExecutor
 
 import imagecodecs
@@ -27,7 +26,7 @@ from phongfit.files.images import (
 )
 from phongfit.files.photographs import read_photograph
 from phongfit.rendering import JpegCompression
-from tests.helpers import said
+from tests.helpers import png_promising, said
 
 FORMATS = [
     (".png", 8, 0.5 / 255),
@@ -240,11 +239,9 @@ def test_exr_with_separate_and_half_channels(tmp_path):
     path = tmp_path / "a.exr"
     numbers = (np.arange(18, dtype=np.float16) / 16).reshape(2, 3, 3)
     channels = {c: np.ascontiguousarray(numbers[..., i]) for i, c in enumerate("RGB")}
-    with OpenEXR.File({"type": OpenEXR.scanlineimage}, channels) as file:
-        file.write(str(path))
+    _write_exr(path, channels)
     assert np.array_equal(read_image(path, "linear"), numbers)
-    with OpenEXR.File({"type": OpenEXR.scanlineimage}, {"Z": channels["R"]}) as file:
-        file.write(str(path))
+    _write_exr(path, {"Z": channels["R"]})
     with pytest.raises(ValueError, match=r"a\.exr: expected.*got Z"):
         read_image(path, "linear")
 
@@ -342,13 +339,6 @@ def test_mask_of_0_and_1_or_0_and_255(tmp_path):
     assert not read_mask(path).any()
 
 
-def _png_header(width: int, height: int) -> bytes:
-    """A PNG that promises much and holds nothing."""
-    chunk = b"IHDR" + struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    parts = b"\0\0\0\r" + chunk + struct.pack(">I", zlib.crc32(chunk))
-    return b"\x89PNG\r\n\x1a\n" + parts + b"\0\0\0\0IEND\xaeB`\x82"
-
-
 HUGE_HDR = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 99999 +X 99999\n"
 HUGE_TIFF = b"II*\0" + struct.pack(
     "<IHHHIIHHIII", 8, 2, 256, 4, 1, 99999, 257, 4, 1, 99999, 0
@@ -363,7 +353,7 @@ BROKEN = {
     "text.exr": (b"hello", "is broken or no .exr image"),
     "text.gif": (b"GIF89a", "expected one of .png ... got suffix '.gif'"),
     "nothing": (b"", "expected one of .png ... got no suffix"),
-    "bomb.png": (_png_header(60000, 60000), "got 60000 × 60000 pixels"),
+    "bomb.png": (png_promising(60000, 60000), "got 60000 × 60000 pixels"),
     "bomb.hdr": (HUGE_HDR, "got 99999 × 99999 pixels"),
     "bomb.tif": (HUGE_TIFF, "got 99999 × 99999 pixels"),
 }
@@ -460,8 +450,7 @@ def test_cmyk_and_inverted_grey_are_refused(tmp_path):
 def test_nan_pixels(tmp_path):
     path = tmp_path / "a.exr"
     light = np.full((2, 2, 3), np.nan, np.float32)
-    with OpenEXR.File({"type": OpenEXR.scanlineimage}, {"RGB": light}) as file:
-        file.write(str(path))
+    _write_exr(path, {"RGB": light})
     with pytest.raises(ValueError, match=r"a\.exr: has NaN or infinite pixels"):
         read_image(path, "linear")
 
@@ -632,8 +621,7 @@ def test_headers_that_are_not_believed(tmp_path, name, capfd):
 def test_exr_of_many_channels_or_parts(tmp_path, monkeypatch, capfd):
     path, plane = tmp_path / "a.exr", np.zeros((64, 64), np.float16)
     many = {f"c{k}": plane for k in range(60)}
-    with OpenEXR.File({"type": OpenEXR.scanlineimage}, many) as file:
-        file.write(str(path))
+    _write_exr(path, many)
     _check_one_line(path, "expected channels R, G, B or Y, got c0", capfd)
     small = {name: plane[:4, :4].copy() for name in "RGB"}
     rows = ("one", small), ("two", {name: plane for name in "RGB"})
@@ -641,8 +629,7 @@ def test_exr_of_many_channels_or_parts(tmp_path, monkeypatch, capfd):
     parts = [OpenEXR.Part(dict(window), channels, name) for name, channels in rows]
     OpenEXR.File(parts).write(str(path))
     _check_one_line(path, "expected one part, got 2: save each as a file", capfd)
-    with OpenEXR.File({"type": OpenEXR.scanlineimage}, many) as file:
-        file.write(str(path))
+    _write_exr(path, many)
     monkeypatch.setenv("PHONGFIT_MAX_MEMORY", "64K")
     _check_one_line(path, "at most 64 KB of memory, got 64 × 64 pixels", capfd)
 

@@ -1,7 +1,6 @@
 """Photographs: upright, with their film, and in common light."""
 
 import struct
-import zlib
 from fractions import Fraction
 from pathlib import Path
 
@@ -22,6 +21,7 @@ from phongfit.files.photographs import (
     relative_exposures,
 )
 from phongfit.rendering.film import decode
+from tests.helpers import png_chunk
 
 # What Pillow calls the way from a file's pixels to upright ones.
 UPRIGHT = {
@@ -61,13 +61,7 @@ def levels(height: int = 16, width: int = 32) -> np.ndarray:
 def write_png(path: Path, numbers: np.ndarray, **chunks: bytes) -> None:
     """A PNG with chunks of one's own after its head."""
     data = bytes(imagecodecs.png_encode(numbers))
-    own = b"".join(
-        struct.pack(">I", len(body))
-        + kind.encode()
-        + body
-        + struct.pack(">I", zlib.crc32(kind.encode() + body))
-        for kind, body in chunks.items()
-    )
+    own = b"".join(png_chunk(kind.encode(), body) for kind, body in chunks.items())
     path.write_bytes(data[:33] + own + data[33:])
 
 

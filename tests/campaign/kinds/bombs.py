@@ -24,6 +24,7 @@ from phongfit.files.scenes import load_scene, load_views
 from phongfit.maps.result import load_maps
 from tests.campaign.cases import Case, Kind, Wrong, blaming, put
 from tests.files.test_gltf_reading import triangle
+from tests.helpers import png_chunk
 
 Random = np.random.Generator
 
@@ -36,23 +37,18 @@ def _side(random: Random) -> int:
 def _png(random: Random) -> bytes:
     depth, colour = [(8, 2), (16, 6), (1, 0), (8, 3)][int(random.integers(4))]
     side = _side(random)
-    head = b"IHDR" + struct.pack(">IIBBBBB", side, side, depth, colour, 0, 0, 0)
-    text = b"zTXtkey\0\0" + zlib.compress(bytes(2**23))
-    body = b"IDAT" + zlib.compress(bytes(2**20))
-    chunks = [head, *[text] * int(random.integers(0, 300)), body, b"IEND"]
-    return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(c) - 4) + c + struct.pack(">I", zlib.crc32(c))
-        for c in chunks
-    )
+    head = struct.pack(">IIBBBBB", side, side, depth, colour, 0, 0, 0)
+    text = png_chunk(b"zTXt", b"key\0\0" + zlib.compress(bytes(2**23)))
+    body = png_chunk(b"IDAT", zlib.compress(bytes(2**20))) + png_chunk(b"IEND", b"")
+    texts = text * int(random.integers(0, 300))
+    return b"\x89PNG\r\n\x1a\n" + png_chunk(b"IHDR", head) + texts + body
 
 
 def _png_of_text(random: Random) -> bytes:
     """A small picture with very much text in it."""
     small = bytes(imagecodecs.png_encode(np.zeros((4, 4, 3), np.uint8)))
-    text = b"zTXtkey\0\0" + zlib.compress(bytes(int(random.choice([2**22, 2**23 - 9]))))
-    chunk = (
-        struct.pack(">I", len(text) - 4) + text + struct.pack(">I", zlib.crc32(text))
-    )
+    text = zlib.compress(bytes(int(random.choice([2**22, 2**23 - 9]))))
+    chunk = png_chunk(b"zTXt", b"key\0\0" + text)
     return small[:33] + chunk * int(random.integers(300, 1200)) + small[33:]
 
 
