@@ -91,6 +91,9 @@ def _calls() -> list[partial[Any]]:
     triangle = dict(vertices=[[0, 0, 0], [1, 0, 0], [0, 1, 0]], faces=[[0, 1, 2]])
     grazing = dict(folder="in", min_cosine=0.1, min_facing=0.1)
 
+    number: Any = np.float32(3.0)
+    three: Any = np.ones(3)
+
     def bumpy(u: Any, v: Any) -> Any:
         import jax.numpy as jnp
 
@@ -140,8 +143,8 @@ def _calls() -> list[partial[Any]]:
         partial(pf.FlatShading, at="centroid", clamp=False),
         partial(pf.GouraudShading, clamp=False),
         *(partial(loss, k=1.0) for loss in (pf.Huber, pf.SoftL1, pf.Cauchy, pf.Tukey)),
-        partial(blinn_from_phong, shininess=np.float32(3.0)),
-        partial(phong_from_blinn, shininess=np.ones(3)),
+        partial(blinn_from_phong, shininess=number),
+        partial(phong_from_blinn, shininess=three),
         partial(pf.preset, name="brass"),
         partial(stack_materials, materials=[material, material]),
         partial(unstack_materials, material=material, count=None),
