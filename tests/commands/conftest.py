@@ -54,6 +54,26 @@ def stored(copy) -> Path:
     return copy / "stack.zarr"
 
 
+@pytest.fixture
+def refused(capsys) -> Callable[..., str]:
+    """What a command says that refuses what it was given: one line, and status 2.
+
+    It may have said before what it takes for granted.
+    """
+
+    def refused(*words: object) -> str:
+        capsys.readouterr()
+        assert main([*map(str, words)]) == 2
+        printed = capsys.readouterr()
+        assert printed.err.startswith("error: "), printed.err
+        assert printed.err.count("\n") == 1, printed.err
+        told = printed.out.splitlines()
+        assert all(line.startswith("assumed: ") for line in told), printed.out
+        return printed.err
+
+    return refused
+
+
 def files_in(folder: Path) -> dict[Path, bytes]:
     """All that is in a folder, as it is."""
     found = sorted(path for path in folder.rglob("*") if path.is_file())

@@ -178,13 +178,12 @@ def bad_folder(folder, kind):
 @pytest.mark.parametrize(
     "kind", ["one photograph", "a list of others", "a lamp of zeros"]
 )
-def test_folders_that_are_no_capture(tmp_path, capsys, kind):
+def test_folders_that_are_no_capture(tmp_path, refused, kind):
     folder = tmp_path / "photos"
     folder.mkdir()
     words = bad_folder(folder, kind)
     out = tmp_path / "out"
-    assert main(["calibrate", f"{folder}", "--encoding", "srgb", "-o", f"{out}"]) == 2
-    said = capsys.readouterr().err
+    said = refused("calibrate", folder, "--encoding", "srgb", "-o", out)
     assert words in said and said.count("error: ") == 1 and not out.exists()
 
 
@@ -198,11 +197,9 @@ def test_folders_that_are_no_capture(tmp_path, capsys, kind):
     ],
 )
 def test_errors_are_one_line_and_nothing_is_left(
-    photographs, tmp_path, capsys, options, message
+    photographs, tmp_path, refused, options, message
 ):
     _, folder = photographs
     out = tmp_path / "out"
-    assert main(["calibrate", str(folder), "-o", str(out), *options]) == 2
-    said = capsys.readouterr().err
-    assert message in said and said.count("\n") == 1
+    assert message in refused("calibrate", folder, "-o", out, *options)
     assert list(tmp_path.iterdir()) == []

@@ -21,30 +21,24 @@ from tests.helpers import said
         (["--host", "no.such.host.invalid"], "host, port: cannot listen at no.such"),
     ],
 )
-def test_bad_options(options, words, capsys):
-    assert run(lab.main, ["--no-browser", *options]) == 2
-    printed = capsys.readouterr()
-    assert printed.out == "" and printed.err.count("\n") == 1
-    assert printed.err.startswith("error: ") and said(words, printed.err)
+def test_bad_options(options, words, refused):
+    assert said(words, refused("lab", "--no-browser", *options))
 
 
-def test_a_port_that_is_taken(capsys):
+def test_a_port_that_is_taken(refused):
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
-        assert run(lab.main, ["--no-browser", "--port", str(port)]) == 2
-    told = capsys.readouterr().err
+        told = refused("lab", "--no-browser", "--port", port)
     assert f"127.0.0.1, {port}" in told and "--port 0" in told
 
 
-def test_what_it_needs_is_missing(monkeypatch, capsys):
+def test_what_it_needs_is_missing(monkeypatch, refused):
     find = importlib.util.find_spec
     monkeypatch.setattr(
         importlib.util, "find_spec", lambda n: None if n == "uvicorn" else find(n)
     )
-    assert run(lab.main, ["--no-browser", "--port", "0"]) == 2
-    assert "uvicorn not installed: pip install 'phongfit[lab]'" in (
-        capsys.readouterr().err
-    )
+    told = refused("lab", "--no-browser", "--port", 0)
+    assert "uvicorn not installed: pip install 'phongfit[lab]'" in told
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])

@@ -22,7 +22,7 @@ def hills(tmp_path_factory):
     return folder
 
 
-def test_a_picture_for_each_lamp(hills, tmp_path, capsys):
+def test_a_picture_for_each_lamp(hills, tmp_path, capsys, refused):
     names = ["C:\\dome\\a 1.png", "two.tif", "three.CR2"]
     vectors = np.array([[1.0, 0.2, 0.8], [0, 0, 1], [-1, 1, 1]])
     pf.write_lp(tmp_path / "dome.lp", names, vectors)
@@ -42,8 +42,7 @@ def test_a_picture_for_each_lamp(hills, tmp_path, capsys):
         np.testing.assert_allclose(pf.read_image(out / name, "srgb"), shown, atol=0.005)
     # Older pictures stay, unless told otherwise; without shadows it is brighter.
     before = pf.read_image(out / "a 1.png", "srgb").mean()
-    assert main(args) == 2
-    assert "is not replaced, since it holds" in capsys.readouterr().err
+    assert "is not replaced, since it holds" in refused(*args)
     assert main([*args, "--overwrite", "--no-shadows", "--ambient", "0.5"]) == 0
     assert pf.read_image(out / "a 1.png", "srgb").mean() > before + 0.02
 
@@ -83,24 +82,23 @@ def test_near_lamps_of_a_calibration(hills, tmp_path):
         ("2\na.jpg 0 0 1\nb.png 0 0 1\n", ["--ambient", "-1"], "ambient: expected"),
     ],
 )
-def test_bad_input(hills, tmp_path, capsys, lines, options, words):
+def test_bad_input(hills, tmp_path, refused, lines, options, words):
     (tmp_path / "a.lp").write_text(lines)
     args = ["relight", str(hills), "--lights", f"{tmp_path}/a.lp", *options]
-    assert main([*args, "-o", f"{tmp_path}/out"]) == 2
-    told = capsys.readouterr().err
-    assert words in told and told.count("\n") == 1
+    assert words in refused(*args, "-o", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
-def test_maps_of_before_want_an_encoding(hills, tmp_path, capsys):
+def test_maps_of_before_want_an_encoding(hills, tmp_path, refused):
     record = json.loads((hills / "maps.json").read_text()) | {"encoding": None}
     for path in hills.glob("*.np*"):
         (tmp_path / path.name).write_bytes(path.read_bytes())
     (tmp_path / "maps.json").write_text(json.dumps(record))
     pf.write_lp(tmp_path / "a.lp", ["a.png"], np.array([[0, 0, 1.0]]))
     args = ["relight", str(tmp_path), "--lights", f"{tmp_path}/a.lp"]
-    assert main([*args, "-o", f"{tmp_path}/out"]) == 2
-    assert "expected --encoding linear or srgb" in capsys.readouterr().err
+    assert "expected --encoding linear or srgb" in refused(
+        *args, "-o", tmp_path / "out"
+    )
 
 
 READ = {"normals": "fit", "encoding": "linear", "fov": 30.0}
@@ -129,7 +127,7 @@ def test_with_what_maps_leave_of_their_photographs(capture, tmp_path, capsys):
     assert off["seen"] < 0.0025 < 0.02 < off["alone"]
 
 
-def test_other_photographs_are_refused(capture, tmp_path, capsys):
+def test_other_photographs_are_refused(capture, tmp_path, refused):
     photographs, _ = capture
     _, record = stack_data(DataOptions(photographs).like(DataSettings(**READ)))
     (maps := tmp_path / "maps").mkdir()
@@ -142,9 +140,8 @@ def test_other_photographs_are_refused(capture, tmp_path, capsys):
     args += ["-o", str(out), "--photographs"]
 
     def told(*words) -> str:
-        assert main([*args, *map(str, words)]) == 2
-        err = capsys.readouterr().err
-        assert err.count("\n") == 1 and not out.exists()
+        err = refused(*args, *words)
+        assert not out.exists()
         return err
 
     assert "photographs: " in told(other)

@@ -142,18 +142,19 @@ def test_a_wrong_curve_in_a_scene_is_named(photographs, tmp_path, change, words)
         (["--lights", "a.lp"], "lights: expected --matte with them"),
     ],
 )
-def test_what_is_missing_is_one_line(bracket, tmp_path, capsys, options, words):
+def test_what_is_missing_is_one_line(bracket, tmp_path, refused, options, words):
     out = tmp_path / "r.json"
-    assert main(["response", f"{bracket}", "-o", f"{out}", *options]) == 2
-    err = capsys.readouterr().err
-    assert err.startswith(f"error: {words}") and err.count("\n") == 1
+    err = refused("response", bracket, "-o", out, *options)
+    assert err.startswith(f"error: {words}")
     assert not out.exists()
 
 
-def test_an_encoding_that_is_none(photographs, tmp_path, capsys):
+def test_an_encoding_that_is_none(photographs, tmp_path, refused):
     words = ["fit", f"{photographs}", "--sphere", *CIRCLE, "-o", f"{tmp_path / 'a'}"]
-    assert main([*words, "--encoding", "gamma"]) == 2
-    assert "encoding: expected linear, srgb or the file of" in capsys.readouterr().err
+    assert "encoding: expected linear, srgb or the file of" in refused(
+        *words, "--encoding", "gamma"
+    )
     (tmp_path / "b.json").write_text('{"format": "phongfit response", "version": 1}')
-    assert main([*words, "--encoding", f"{tmp_path / 'b.json'}"]) == 2
-    assert "b.json: light: is missing" in capsys.readouterr().err
+    assert "b.json: light: is missing" in refused(
+        *words, "--encoding", tmp_path / "b.json"
+    )

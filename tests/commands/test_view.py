@@ -17,8 +17,6 @@ def test_a_page(tmp_path, capsys):
     assert list(page.parent.iterdir()) == [page]
 
 
-def test_no_maps(tmp_path, capsys):
-    assert main(["view", str(tmp_path), "-o", f"{tmp_path}/a.html"]) == 2
-    told = capsys.readouterr().err
-    assert "maps.npz" in told and told.count("\n") == 1
+def test_no_maps(tmp_path, refused):
+    assert "maps.npz" in refused("view", tmp_path, "-o", tmp_path / "a.html")
     assert not (tmp_path / "a.html").exists()
