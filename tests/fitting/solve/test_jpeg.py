@@ -131,7 +131,7 @@ def test_errors_are_foreseen():
 
 
 def test_maps_do_not_take_the_sensors_noise_for_all_of_it():
-    image = jpeg_photograph(0, 95, SCENE)
+    image = np.full((canonical.JPEG_SIZE, canonical.JPEG_SIZE, 3), 0.5)
     with pytest.raises(ValueError, match="noise: expected none with films of JPEG"):
         pf.fit_maps([SCENE], [image], film=jpeg_film(95), noise=NOISE)
 
