@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 import types
 
 import imagecodecs
@@ -231,26 +230,6 @@ def test_broken_folders(mapped, tmp_path, refused, name, content, words):
         (folder / name).write_bytes(content)
     assert words in refused("export", folder, "--to", "gltf", "-o", tmp_path / "a.glb")
     assert not (tmp_path / "a.glb").exists()
-
-
-def test_folders_of_before(mapped, tmp_path):
-    """Version 1 wrote normals and the model beside the maps, and no camera."""
-    folder = tmp_path / "maps"
-    shutil.copytree(mapped, folder)
-    record = json.loads((mapped / "maps.json").read_text()) | {"version": 1}
-    del record["encoding"]
-    (folder / "maps.json").write_text(json.dumps(record))
-    with np.load(mapped / "maps.npz") as arrays:
-        new = ("normals", "normals_stderr", "depth", "view")
-        old = {name: array for name, array in arrays.items() if name not in new}
-    np.savez(folder / "maps.npz", **old)
-    maps, read, normals = load_folder(folder)
-    now, written, _ = load_folder(mapped)
-    np.testing.assert_array_equal(maps.normals, normals)
-    np.testing.assert_array_equal(now.normals, normals)
-    np.testing.assert_array_equal(maps.normals_stderr, now.normals_stderr)
-    assert maps.specular_model is not None and maps.camera is None
-    assert read.encoding is None and written.encoding == "srgb"
 
 
 def test_record_is_whole(mapped):

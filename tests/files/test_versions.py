@@ -90,11 +90,19 @@ def test_maps_of_every_version(version, tmp_path):
     assert maps.identified.sum() > 5 and maps.diffuse.shape == (8, 8, 3)
     assert ("version" in np.load(path)) == (version > 1)
     assert (maps.camera is None) == (version == 1)
+    assert (maps.specular_model is None) == (version == 1)
+    if version == 1:
+        assert not maps.normals.any() and np.isinf(maps.normals_stderr).all()
     (tmp_path / "maps.npz").write_bytes(path.read_bytes())
     (tmp_path / "maps.json").write_bytes(kept("maps", version).read_bytes())
     np.save(normals, np.broadcast_to([0.0, 0.0, 1.0], (8, 8, 3)))
-    whole, record, _ = load_folder(tmp_path)
+    whole, record, given = load_folder(tmp_path)
     assert whole.specular_model == record.model.build() == pf.BlinnPhong()
+    if version == 1:
+        # Normals and the model stood beside the maps, and no camera or encoding.
+        np.testing.assert_array_equal(whole.normals, given)
+        assert not whole.normals_stderr[maps.identified].any()
+        assert whole.camera is None and record.encoding is None
 
 
 @pytest.mark.parametrize("version", [0, MAPS_VERSION + 1, [2, 2], "two"])

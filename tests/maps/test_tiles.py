@@ -391,19 +391,6 @@ def test_maps_of_wrong_arrays(maps, tmp_path, name, wrong, told):
         pf.load_maps(path)
 
 
-def test_files_of_before_normals_were_kept(maps, tmp_path):
-    path = tmp_path / "maps.npz"
-    maps.save(path)
-    with np.load(path) as arrays:
-        new = ("normals", "normals_stderr", "depth", "view")
-        old = {name: array for name, array in arrays.items() if name not in new}
-    np.savez(path, **old)
-    read = pf.load_maps(path)
-    np.testing.assert_array_equal(read.diffuse, maps.diffuse)
-    assert read.camera is None and read.specular_model is None
-    assert not read.normals.any() and np.isinf(read.normals_stderr).all()
-
-
 def test_a_camera_that_files_do_not_know(maps, tmp_path):
     class Pinhole(pf.geometry.AbstractCamera):
         width: int = 64
