@@ -1,5 +1,6 @@
 """A made-up stack: a bumpy surface, its own material in every pixel, many lights."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,10 +14,27 @@ from data_synth.lights import spread_directions
 from phongfit.files.images import write_image
 from phongfit.maps.result import PLAIN
 
+FREE = pf.Film(clamp=False)
+
 
 def dtype() -> np.dtype:
     """The type of floats in the precision that is set."""
     return np.dtype(jnp.result_type(float))
+
+
+def shown(
+    scenes: Sequence[pf.Scene], material: pf.Material, film: pf.Film = FREE, **options
+) -> np.ndarray:
+    """What scenes show of a material, (L, H, W, 3)."""
+    images = [pf.render(one, material, film=film, **options) for one in scenes]
+    return np.stack([np.asarray(image) for image in images])
+
+
+def noisy(
+    images: np.ndarray, noise: float | np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """The same with noise, in the precision that is set."""
+    return (images + noise * rng.normal(size=images.shape)).astype(dtype())
 
 
 class Stack(NamedTuple):
@@ -63,11 +81,8 @@ def make_stack(
         for direction in spread_directions(lights)
     )
     gbuffer = pf.geometry.trace(surface, camera)
-    film = pf.Film(clamp=False)
-    clean = [pf.render(s, truth, film=film, gbuffer=gbuffer) for s in scenes]
-    images = np.stack([np.asarray(image) for image in clean])
-    images = images + noise * rng.normal(size=images.shape)
-    return Stack(scenes, images.astype(dtype()), truth)
+    clean = shown(scenes, truth, gbuffer=gbuffer)
+    return Stack(scenes, noisy(clean, noise, rng), truth)
 
 
 def pulls(maps: pf.Maps, truth: pf.Material, name: str) -> np.ndarray:
@@ -77,6 +92,11 @@ def pulls(maps: pf.Maps, truth: pf.Material, name: str) -> np.ndarray:
     value = np.asarray(getattr(maps, name), float)
     true = np.broadcast_to(np.asarray(getattr(truth, name), float), value.shape)
     return ((value - true) / error)[sound]
+
+
+def spread(pull: np.ndarray) -> float:
+    """Half of the width that holds 68 %: long tails would decide a mean square."""
+    return float(np.diff(np.quantile(pull, [0.1587, 0.8413]))[0] / 2)
 
 
 def write_diligent(folder: Path, stack: Stack, brightness: float = 1.0) -> None:

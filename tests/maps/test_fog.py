@@ -8,19 +8,19 @@ import pytest
 import phongfit as pf
 from phongfit.maps.job import make_job
 from phongfit.maps.stacks import ArrayStack
-from tests.maps.synthetic import dtype
+from tests.maps.synthetic import FREE, dtype, shown
 
 pytestmark = pytest.mark.extended
 
 SIZE = 20
 QUICK: dict[str, Any] = {
     "unknowns": ("diffuse",),
-    "film": pf.Film(clamp=False),
+    "film": FREE,
     "tile_pixels": 512,
 }
 
 
-def make(*fogs: pf.Fog | None) -> tuple[list[pf.Scene], list[np.ndarray], pf.Material]:
+def make(*fogs: pf.Fog | None) -> tuple[list[pf.Scene], np.ndarray, pf.Material]:
     """A ball behind one fog after the other, each under its own light."""
     rng = np.random.default_rng(0)
     camera = pf.PerspectiveCamera(SIZE, SIZE)
@@ -29,9 +29,7 @@ def make(*fogs: pf.Fog | None) -> tuple[list[pf.Scene], list[np.ndarray], pf.Mat
         pf.Scene(pf.Sphere(), camera, pf.PointLight(place), ambient=0.2, fog=fog)
         for place, fog in zip(rng.uniform(2, 4, (len(fogs), 3)), fogs, strict=True)
     ]
-    film = pf.Film(clamp=False)
-    images = [np.asarray(pf.render(s, truth, film=film), dtype()) for s in scenes]
-    return scenes, images, truth
+    return scenes, shown(scenes, truth).astype(dtype()), truth
 
 
 def test_what_lies_behind_the_fog():
@@ -52,8 +50,7 @@ def test_what_lies_behind_the_fog():
     assert np.all(off < 0.05 * maps.stderr.diffuse[maps.identified])
     # The thicker the fog, the less is identified.
     bare = [pf.Scene(s.surface, s.camera, s.lights, s.ambient) for s in scenes]
-    images = [np.asarray(pf.render(s, truth, film=QUICK["film"])) for s in bare]
-    clear = pf.fit_maps(bare, images, known=known, noise=0.01, **QUICK)
+    clear = pf.fit_maps(bare, shown(bare, truth), known=known, noise=0.01, **QUICK)
     assert np.all(
         maps.stderr.diffuse[maps.identified] > clear.stderr.diffuse[maps.identified]
     )

@@ -9,9 +9,18 @@ import scipy.stats
 
 import phongfit as pf
 from phongfit.maps.pixel.scale import students_t
-from tests.maps.synthetic import Stack, dtype, make_stack, pulls, same
+from tests.maps.synthetic import (
+    FREE,
+    Stack,
+    dtype,
+    make_stack,
+    noisy,
+    pulls,
+    same,
+    shown,
+    spread,
+)
 
-FREE = pf.Film(clamp=False)
 MATTE: dict[str, Any] = {
     "unknowns": ("ambient", "diffuse"),
     "film": FREE,
@@ -27,13 +36,11 @@ def clean() -> Stack:
 def matte(clean: Stack) -> np.ndarray:
     """What the stack would show if nothing shone."""
     truth = pf.Material(clean.truth.diffuse, 0.0, 32.0, clean.truth.ambient)
-    shown = [np.asarray(pf.render(s, truth, film=FREE)) for s in clean.scenes]
-    return np.stack(shown)
+    return shown(clean.scenes, truth)
 
 
-def noisy(images: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    draws = np.random.default_rng(3).normal(size=images.shape)
-    return (images + noise * draws).astype(dtype())
+def drawn(images: np.ndarray, noise: float | np.ndarray) -> np.ndarray:
+    return noisy(images, noise, np.random.default_rng(3))
 
 
 @pytest.mark.slow
@@ -41,7 +48,7 @@ def test_shot_noise(clean):
     """Of all unknowns: pulls of spread 1, and χ² near 1 pixel by pixel."""
     noise = np.sqrt(0.002**2 + 4e-4 * clean.images)
     assert noise.max() > 3 * noise.min()
-    images = noisy(clean.images, noise)
+    images = drawn(clean.images, noise)
     maps = pf.fit_maps(clean.scenes, images, noise=list(noise), film=FREE)
     chi_squared = maps.chi_squared[maps.identified]
     assert chi_squared.size > 700
@@ -49,9 +56,7 @@ def test_shot_noise(clean):
     assert chi_squared.mean() == pytest.approx(1, abs=4 * np.sqrt(2 / freedom / 700))
     assert chi_squared.std() == pytest.approx(np.sqrt(2 / freedom), rel=0.15)
     for name in ("ambient", "diffuse", "specular"):
-        pull = pulls(maps, clean.truth, name)
-        spread = np.diff(np.quantile(pull, [0.1587, 0.8413]))[0] / 2
-        assert 0.9 < spread < 1.1, name
+        assert 0.9 < spread(pulls(maps, clean.truth, name)) < 1.1, name
     assert isinstance(maps.noise_given, np.ndarray)
     np.testing.assert_allclose(
         maps.noise_given, np.sqrt((noise**2).mean(axis=(0, 3))), rtol=1e-4
@@ -62,7 +67,7 @@ def test_shot_noise(clean):
 def test_noisy_images_count_for_less(clean):
     """A number for each image: the better ones decide, and errors say how well."""
     levels = np.where(np.arange(16) % 2, 0.003, 0.06)
-    images = noisy(matte(clean), levels[:, None, None, None])
+    images = drawn(matte(clean), levels[:, None, None, None])
     weighted, plain = (
         pf.fit_maps(clean.scenes, images, noise=noise, **MATTE)
         for noise in (levels, 0.0425)
@@ -82,7 +87,7 @@ def test_noisy_images_count_for_less(clean):
 @pytest.mark.extended
 def test_the_same_noise_everywhere(clean, tmp_path):
     """A map of one number says what the number says, and is kept with the maps."""
-    images = noisy(matte(clean), np.array(0.01))
+    images = drawn(matte(clean), 0.01)
     number = pf.fit_maps(clean.scenes, images, noise=0.01, **MATTE)
     level = np.full((24, 32), 0.01)
     for noise in (level, [level[..., None] * np.ones(3)] * 16):
@@ -108,9 +113,7 @@ def test_errors_under_three_lamps_contain_how_badly_noise_is_known():
     stack = make_stack(30, 30, 3, ambient=0)
     truth = np.asarray(stack.truth.diffuse)
     matte = pf.Material(truth, 0.0, 10.0, 0.0)
-    clean = np.stack([np.asarray(pf.render(s, matte, film=FREE)) for s in stack.scenes])
-    noise = 0.01 * np.random.default_rng(0).normal(size=clean.shape)
-    images = (clean + noise).astype(dtype())
+    images = noisy(shown(stack.scenes, matte), 0.01, np.random.default_rng(0))
     maps = pf.fit_maps(stack.scenes, images, unknowns=("diffuse",))
     pull = np.abs(maps.diffuse - truth) / maps.stderr.diffuse
     assert 0.935 < np.mean(pull < 1.96) < 0.965

@@ -13,9 +13,8 @@ from phongfit.maps.passes import find_offset, moved
 from phongfit.maps.pixel.block import samples_of
 from phongfit.maps.stacks import ArrayStack, KeptStack
 from tests.maps.hills import CAMERA, SIZE, bumps
-from tests.maps.synthetic import dtype, same
+from tests.maps.synthetic import FREE, noisy, same, shown
 
-FREE = pf.Film(clamp=False)
 TRUTH = pf.Material((0.4, 0.3, 0.2), 0.3, 20.0, 0.0)
 RAISED = 0.5
 
@@ -35,9 +34,7 @@ def hills(near: bool, camera: pf.geometry.AbstractCamera = CAMERA) -> tuple:
         for d in directions
     ]
     true = [pf.Scene(surface, camera, lamp, shadows=True) for lamp in lamps]
-    images = np.stack([np.asarray(pf.render(s, TRUTH, film=FREE)) for s in true])
-    rng = np.random.default_rng(0)
-    images = (images + 0.003 * rng.normal(size=images.shape)).astype(dtype())
+    images = noisy(shown(true, TRUTH), 0.003, np.random.default_rng(0))
     plane = pf.NormalMap(np.broadcast_to([0.0, 0, 1], normals.shape), positions=rays)
     flat = [dataclasses.replace(s, surface=plane, shadows=False) for s in true]
     return flat, images, surface, true

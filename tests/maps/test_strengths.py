@@ -14,13 +14,12 @@ from phongfit.maps.layers import mask_layers
 from phongfit.maps.result import Strengths
 from phongfit.maps.stacks import ArrayStack
 from phongfit.maps.strengths import find_strengths, may_be_equal, sample_points, solve
-from tests.maps.synthetic import dtype
+from tests.maps.synthetic import FREE, dtype, noisy, shown
 
 CAMERA = pf.OrthographicCamera(32, 28, view_height=2.2)
 LAMPS = spread_directions(10)
 TRUE = np.random.default_rng(0).uniform(0.4, 1.6, 10)
 TRUE /= TRUE.mean()
-FREE = pf.Film(clamp=False)
 NOISE = 0.004
 
 
@@ -31,9 +30,9 @@ def scenes() -> list[pf.Scene]:
 def photographs(specular: float, true=TRUE) -> np.ndarray:
     rng = np.random.default_rng(1)
     material = pf.Material((0.5, 0.35, 0.25), specular, 25.0, 0.0)
-    light = [np.asarray(pf.render(s, material, film=FREE), float) for s in scenes()]
+    light = shown(scenes(), material).astype(float)
     images = np.stack([t * one for t, one in zip(true, light, strict=True)])
-    return (images + NOISE * rng.normal(size=images.shape)).astype(dtype())
+    return noisy(images, NOISE, rng)
 
 
 def check(found: Strengths, true: np.ndarray, most: float, error=0.15) -> None:
@@ -99,11 +98,8 @@ def test_near_lamps_have_their_own_directions_at_each_point():
     ]
     buffer = near[0].trace()
     material = pf.Material(0.4, 0.0, 1.0, 0.0)
-    images = [
-        t * np.asarray(pf.render(s, material, film=FREE))
-        for t, s in zip(TRUE, near, strict=True)
-    ]
-    stack = ArrayStack(np.stack(images).astype(dtype()))
+    images = TRUE[:, None, None, None] * shown(near, material)
+    stack = ArrayStack(images.astype(dtype()))
     masks = mask_layers(None, stack.shape)
     _, points = sample_points(near, stack, buffer, masks, np.inf)
     found, _ = solve(points, np.zeros(points.light.shape), np.ones((10, 1)))

@@ -7,10 +7,9 @@ import phongfit as pf
 from data_synth.lights import spread_directions
 from phongfit.cli import main
 from phongfit.maps.view_angle import _judge, _next_angle, _Noise, check_fov, seen_over
-from tests.maps.synthetic import dtype
+from tests.maps.synthetic import FREE, noisy, shown
 
 SIZE, FOV = 24, 50.0
-FREE = pf.Film(clamp=False)
 LAMPS = spread_directions(12)
 
 
@@ -19,16 +18,8 @@ def photographs(specular: float, fov: float = FOV) -> np.ndarray:
     camera = pf.PerspectiveCamera(SIZE, SIZE, fov_y=fov, position=(0, 0, 0))
     ball = pf.Sphere((0, 0, -1 / np.sin(np.radians(fov / 2))), 1.0)
     material = pf.Material((0.5, 0.35, 0.25), specular, 25.0, 0.0)
-    rng = np.random.default_rng(0)
-    shown = [
-        np.asarray(
-            pf.render(pf.Scene(ball, camera, pf.DirectionalLight(lamp)), material),
-            float,
-        )
-        for lamp in LAMPS
-    ]
-    images = np.stack(shown) + 0.004 * rng.normal(size=(len(LAMPS), SIZE, SIZE, 3))
-    return images.astype(dtype())
+    seen = [pf.Scene(ball, camera, pf.DirectionalLight(lamp)) for lamp in LAMPS]
+    return noisy(shown(seen, material, pf.Film()), 0.004, np.random.default_rng(0))
 
 
 def scenes() -> tuple[pf.Scene, ...]:

@@ -9,8 +9,8 @@ import phongfit as pf
 from data_synth.lights import spread_directions
 from phongfit.files.fits import DataRecord, DataSettings
 from phongfit.maps.folder import MapOptions, load_folder, save_folder
-from tests.maps.pixel.scenes import FREE, Hidden, hide
-from tests.maps.synthetic import dtype, pulls
+from tests.maps.pixel.scenes import Hidden, hide
+from tests.maps.synthetic import FREE, noisy, pulls, shown
 
 BLINN = ((0.3, 10.0), (0.4, 60.0), (0.2, 30.0), (0.45, 20.0))
 PHONG = ((0.3, 4.0), (0.4, 20.0), (0.2, 10.0), (0.45, 7.0))
@@ -219,15 +219,14 @@ def test_as_many_as_there_are(count, lights, model, coloured):
 @pytest.mark.parametrize("specular", [0.0, 0.3])
 def test_none_where_nothing_shines(specular, tmp_path):
     lamps = map(pf.DirectionalLight, spread_directions(10))
-    camera, free = pf.OrthographicCamera(32, 28, view_height=2.2), pf.Film(clamp=False)
+    camera = pf.OrthographicCamera(32, 28, view_height=2.2)
     scenes = [pf.Scene(pf.Sphere(), camera, lamp) for lamp in lamps]
     material = pf.Material((0.5, 0.35, 0.25), specular, 25.0, 0.0)
-    images = np.stack([pf.render(scene, material, film=free) for scene in scenes])
-    images += 0.004 * np.random.default_rng(0).normal(size=images.shape)
+    images = noisy(shown(scenes, material), 0.004, np.random.default_rng(0))
     maps = pf.fit_maps(
         scenes,
-        images.astype(dtype()),
-        film=free,
+        images,
+        film=FREE,
         normals="fit",
         materials="auto",
         per_channel=("diffuse",),

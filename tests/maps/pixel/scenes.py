@@ -8,9 +8,8 @@ import numpy as np
 
 import phongfit as pf
 from data_synth.lights import spread_directions
-from tests.maps.synthetic import dtype
+from tests.maps.synthetic import noisy, shown
 
-FREE = pf.Film(clamp=False)
 NOISE = 0.01
 
 
@@ -96,13 +95,9 @@ def hide(
     flat = pf.NormalMap(np.broadcast_to([0.0, 0, 1], normals.shape), positions=places)
     scenes = [pf.Scene(true, camera, lamp, specular_model=model) for lamp in lamps]
     seen = pf.geometry.trace(true, camera)
-    images = np.stack(
-        [np.asarray(pf.render(s, truth, film=FREE, gbuffer=seen)) for s in scenes]
-    )
-    images = images + NOISE * rng.normal(size=images.shape)
     return Hidden(
         [dataclasses.replace(scene, surface=flat) for scene in scenes],
-        images.astype(dtype()),
+        noisy(shown(scenes, truth, gbuffer=seen), NOISE, rng),
         truth,
         np.asarray(seen.normal, float),
     )

@@ -10,8 +10,8 @@ import phongfit as pf
 from phongfit.maps.pixel.errors import Profile, _widened, _Widths
 from phongfit.maps.pixel.settings import Point, Unknowns
 from phongfit.maps.pixel.step import Edges
-from tests.maps.pixel.scenes import FREE, NOISE, Hidden, hide
-from tests.maps.synthetic import pulls
+from tests.maps.pixel.scenes import NOISE, Hidden, hide
+from tests.maps.synthetic import FREE, pulls, shown, spread
 
 
 @pytest.fixture(scope="module")
@@ -51,8 +51,7 @@ def check_truth(hidden: Hidden, maps: pf.Maps, least: float = 0.95) -> None:
     # One in two hundred may be another basin's.
     assert 0.85 < np.sqrt(pull[: int(0.995 * pull.size)].mean()) < 1.12
     for name in ("diffuse", "specular", "shininess"):
-        spread = np.diff(np.quantile(pulls(maps, hidden.truth, name), [0.1587, 0.8413]))
-        assert 0.7 < spread[0] / 2 < 1.15, name
+        assert 0.7 < spread(pulls(maps, hidden.truth, name)) < 1.15, name
     level = maps.noise[maps.identified] / NOISE
     assert np.median(level**2) == pytest.approx(1, abs=0.1)
 
@@ -120,7 +119,7 @@ def test_a_matte_surface_needs_three_lamps():
     surface = pf.NormalMap(hidden.normals)
     camera = pf.OrthographicCamera(24, 16)
     scenes = [pf.Scene(surface, camera, s.lights) for s in hidden.scenes]
-    images = [np.asarray(pf.render(s, matte, film=FREE)) for s in scenes]
+    images = shown(scenes, matte)
     asked = {"film": FREE, "normals": "fit", "passes": 1, "unknowns": ["diffuse"]}
     seen = pf.fit_maps(scenes, images, **asked)
     lit = np.min(images, axis=(0, 3)) > 0
