@@ -138,9 +138,12 @@ def _candidates(
         grid = jnp.zeros((1,), y.dtype)
         exponents = unknowns.as_material(entries).shininess[None]
 
+    def exposed(light: Float[Array, "3 samples"]) -> Float[Array, "3 samples"]:
+        return light * exposure
+
     def at(exponent: Array) -> tuple[Array, Array]:
-        basis, fog = channels.basis(exponent), channels.fog_light()
-        return _best_reflectances(problem, basis * exposure, fog * exposure)
+        basis = jax.vmap(exposed, in_axes=1, out_axes=1)(channels.basis(exponent))
+        return _best_reflectances(problem, basis, exposed(channels.fog_light()))
 
     vectors, costs = jax.lax.map(at, exponents)
     return jnp.where(logarithm, grid[:, None], vectors), costs
