@@ -227,7 +227,7 @@ def nonzero(name: str, vector: Float[Array, "3"]) -> Float[Array, "3"]:
 
 
 def finite(values: Any) -> Any:
-    """Whether each number of an array of NumPy or JAX is finite."""
+    """True where the numbers of an array, of NumPy or JAX, are finite."""
     # `jnp.isfinite` would compile a program for known values.
     return abs(values) < np.inf
 

@@ -269,7 +269,7 @@ def png_chunk(kind: bytes, body: bytes) -> bytes:
 
 
 def png_promising(width: int, height: int) -> bytes:
-    """A PNG of a few bytes that says how large it is, and holds hardly anything."""
+    """A PNG whose header states this size, with data for a few pixels."""
     head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
     parts = {b"IHDR": head, b"IDAT": zlib.compress(bytes(1000)), b"IEND": b""}
     return b"\x89PNG\r\n\x1a\n" + b"".join(map(png_chunk, parts, parts.values()))

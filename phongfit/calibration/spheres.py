@@ -1,6 +1,5 @@
 """Spheres in photographs: find, classify and crop them."""
 
-import itertools
 from collections.abc import Iterator, Sequence
 from typing import Literal, NamedTuple
 
@@ -196,11 +195,11 @@ def _shrunk(
     photographs: Images, names: Sequence[str]
 ) -> tuple[Float[np.ndarray, "count height width"], int]:
     """Grey photographs of at most [`SEARCHED`][] pixels, and how often smaller."""
-    images = looked_at(photographs, names)
-    first = next(images)
-    shrink = max(1, -(-max(first.shape) // SEARCHED))
-    every = itertools.chain([first], images)
-    return np.stack([block_means(one, shrink).mean(axis=-1) for one in every]), shrink
+    shrink, small = 1, []
+    for image in looked_at(photographs, names):
+        shrink = max(1, -(-max(image.shape) // SEARCHED))
+        small.append(block_means(image, shrink).mean(axis=-1))
+    return np.stack(small), shrink
 
 
 def find_spheres(

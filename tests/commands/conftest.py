@@ -56,9 +56,10 @@ def stored(copy) -> Path:
 
 @pytest.fixture
 def refused(capsys) -> Callable[..., str]:
-    """What a command says that refuses what it was given: one line, and status 2.
+    """A function that runs a command on bad input, and returns its error message.
 
-    It may have said before what it takes for granted.
+    The message is one line, the exit status 2. The command may print lines that begin
+    with "assumed: " before.
     """
 
     def refused(*words: object) -> str:

@@ -25,7 +25,7 @@ def dtype() -> np.dtype:
 def shown(
     scenes: Sequence[pf.Scene], material: pf.Material, film: pf.Film = FREE, **options
 ) -> np.ndarray:
-    """What scenes show of a material, (L, H, W, 3)."""
+    """Renders of a material in several scenes, (L, H, W, 3)."""
     images = [pf.render(one, material, film=film, **options) for one in scenes]
     return np.stack([np.asarray(image) for image in images])
 
@@ -33,7 +33,7 @@ def shown(
 def noisy(
     images: np.ndarray, noise: float | np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
-    """The same with noise, in the precision that is set."""
+    """Images with normal noise, in the precision that is set."""
     return (images + noise * rng.normal(size=images.shape)).astype(dtype())
 
 

@@ -457,9 +457,10 @@ def _priors(
     scale: np.ndarray,
     is_fixed: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Mean and deviation of each entry, whether it has a prior, and whitening matrix.
+    """Priors of all entries.
 
-    That is the root of the joint precision of the entries with a prior.
+    **Returns:** means; standard deviations; true where an entry has a prior; and the
+    whitening matrix, a root of the joint precision of the entries with a prior.
     """
     size = len(names.table.label)
     mean, has = np.zeros(size), np.zeros(size, bool)

@@ -119,7 +119,7 @@ class Problem(eqx.Module):
         return self.members().astype(cost.dtype) @ cost.T
 
     def members(self) -> Bool[Array, "materials samples"]:
-        """Whether a sample shows a material."""
+        """True where a sample shows a material."""
         index = self.samples.material_index()
         rows = jnp.arange(self.unknowns.materials, dtype=index.dtype)
         return index[None] == rows[:, None]

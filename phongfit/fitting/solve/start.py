@@ -193,7 +193,7 @@ def _best_reflectances(
         sums = _sums(basis, target, weight, members)
         y = _solve(*sums, select, offset, unknowns)
         light = jnp.einsum("mck,ckn->mcn", offset + select @ y, basis)
-        # Each sample has the light of its own material.
+        # Of the light of all materials, take that of the material of each sample.
         own = material_of[None, None]
         light = light if len(light) == 1 else jnp.take_along_axis(light, own, axis=0)
         light = light[0]
